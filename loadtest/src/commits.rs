@@ -7,7 +7,7 @@ use crate::failure::{LoadtestFailure, block_on};
 use crate::load::client::{LoadClient, close_all, deform_request, open_all};
 use crate::load::server::LoadedServer;
 use crate::models::DragScene;
-use pliant::session::store::{DatabaseStore, StoreLocation};
+use pliant::session::store::{Store, StoreLocation};
 use pliant::session::{Manager, OpenDeformer, SessionConfig};
 use pliant::wire::pb::deform_request::Message;
 use pliant::wire::pb::{self, deform_response};
@@ -124,7 +124,7 @@ impl MeasuredPlace {
         let manager = match location {
             None => Manager::new(config),
             Some(location) => {
-                let store = DatabaseStore::open(&location).await;
+                let store = Store::open(&location).await;
                 let store = store.map_err(|e| LoadtestFailure::Server(format!("{name}: {e}")))?;
                 Manager::with_store(config, OpenDeformer, Arc::new(store)).await
             }

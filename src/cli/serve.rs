@@ -2,11 +2,11 @@
 
 use super::terminal::{CliFailure, StopSignals};
 use crate::asset::FileSet;
-use crate::asset::sample::BuiltInModel;
-use crate::engine::{HandlePose, HandleSet};
-use crate::server::config::{self, ConfigKeys, LogFormat, ServeSettings};
-use crate::server::{self, sample};
-use crate::session::store::{DatabaseStore, StoreError};
+use crate::asset::sample::{BuiltInModel, HANDLES};
+use crate::engine::{Handle, HandlePose, HandleSet, Region};
+use crate::server;
+use crate::server::config::{ConfigKeys, LogFormat, ServeSettings};
+use crate::session::store::{Store, StoreError};
 use crate::session::{self, Manager, OpenDeformer, Tenant};
 use crate::wire::{DeformOptions, PoseCommit, SessionOptions};
 use std::io::{IsTerminal as _, Write as _};
@@ -35,7 +35,7 @@ pub struct ServeArgs {
 pub enum ServeError {
     /// The configuration cannot be used.
     #[error("configuration: {0}")]
-    Config(#[from] config::Error),
+    Config(server::Error),
     /// The port cannot be had.
     #[error("cannot listen on {address}: {problem}")]
     Listen {
@@ -106,7 +106,7 @@ pub(super) fn run_serve(args: ServeArgs) -> Result<(), CliFailure> {
 /// # Errors
 /// When the configuration, the port or the services fail. A drain that reaches its deadline is not an error.
 pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
-    let settings = ServeSettings::load(args.config.as_deref(), &args.keys)?;
+    let settings = ServeSettings::load(args.config.as_deref(), &args.keys).map_err(ServeError::Config)?;
     let endpoint = settings.otlp_endpoint.as_deref();
     let traces = server::start_log(&settings.log, settings.log_format, endpoint).map_err(ServeError::Traces)?;
     for remark in &settings.remarks {
@@ -121,8 +121,8 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
     let address = listener.local_addr().map_err(refuse)?;
     let (manager, store) = match &settings.store {
         Some(location) => {
-            let store = Arc::new(DatabaseStore::open(&location.on_port(address.port())).await?);
-            let manager = Manager::with_store(settings.session, OpenDeformer, Arc::clone(&store) as Arc<_>).await?;
+            let store = Arc::new(Store::open(&location.on_port(address.port())).await?);
+            let manager = Manager::with_store(settings.session, OpenDeformer, Arc::clone(&store)).await?;
             tracing::info!("sessions are kept in {location}");
             (manager, Some(store))
         }
@@ -183,7 +183,11 @@ async fn open_sample(manager: &Manager) -> Result<String, session::Error> {
     };
     let session = manager.create(&tenant, files, options, None).await?.value;
     let id = session.id;
-    let handles = HandleSet::from(sample::handles());
+    let ((normal, offset), (center, radius)) = (HANDLES.feet, HANDLES.head);
+    let handles = HandleSet::from([
+        Handle::new("feet", Region::half_space(normal, offset)),
+        Handle::new("head", Region::sphere(center, radius)),
+    ]);
     manager.set_handles(&tenant, &id, handles, None).await?;
     let turned = PoseCommit {
         seq: 0,

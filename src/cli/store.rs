@@ -9,10 +9,7 @@ use super::terminal::{CliFailure, print_value};
 use crate::asset::FileSet;
 use crate::server::config::{ConfigKeys, KeyValue, stored_in};
 use crate::session;
-use crate::session::store::{
-    CheckedSession, DatabaseStore, Generation, KeepSessions as _, ReadOnlyStore, StoreError, StoreLocation,
-    StoredFacts, now_ms,
-};
+use crate::session::store::{CheckedSession, Generation, Store, StoreError, StoreLocation, StoredFacts, now_ms};
 use crate::session::{AuditEntry, AuditedAction, ErrorCode, Manager, OpenDeformer, SessionConfig};
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
@@ -133,7 +130,7 @@ async fn run_store_check(args: &StoreCheckArgs) -> Result<(), CliFailure> {
 
 /// Compares a session; `None` where it went meanwhile.
 async fn check_one(
-    store: &ReadOnlyStore,
+    store: &Store,
     manager: Option<&Manager>,
     session: &StoredFacts,
 ) -> Option<Result<CheckedSession, String>> {
@@ -234,15 +231,13 @@ struct StorePlaceArgs {
 
 impl StorePlaceArgs {
     /// Opens the store read-only; a server may hold it meanwhile.
-    pub async fn look(&self) -> Result<ReadOnlyStore, CliFailure> {
-        ReadOnlyStore::open(&self.location()?).await.map_err(store_failure)
+    pub async fn look(&self) -> Result<Store, CliFailure> {
+        Store::open_to_read(&self.location()?).await.map_err(store_failure)
     }
 
     /// Opens the store exclusively, to change it. It does not create one.
-    pub async fn take(&self) -> Result<DatabaseStore, CliFailure> {
-        DatabaseStore::open_existing(&self.location()?)
-            .await
-            .map_err(store_failure)
+    pub async fn take(&self) -> Result<Store, CliFailure> {
+        Store::open_existing(&self.location()?).await.map_err(store_failure)
     }
 
     fn location(&self) -> Result<StoreLocation, CliFailure> {
@@ -280,7 +275,7 @@ fn session_failure(error: &session::Error) -> CliFailure {
 }
 
 /// Sessions of a store that is only looked at.
-async fn lookers(store: &Arc<ReadOnlyStore>) -> Result<Manager, CliFailure> {
+async fn lookers(store: &Arc<Store>) -> Result<Manager, CliFailure> {
     // What a server let in is looked at, whatever its limits were.
     let config = SessionConfig {
         vertices: u32::MAX.into(),
@@ -288,8 +283,7 @@ async fn lookers(store: &Arc<ReadOnlyStore>) -> Result<Manager, CliFailure> {
         handles: u32::MAX as usize,
         ..SessionConfig::default()
     };
-    let store = Arc::clone(store) as Arc<_>;
-    let manager = Manager::with_store(config, OpenDeformer, store).await;
+    let manager = Manager::with_store(config, OpenDeformer, Arc::clone(store)).await;
     manager.map_err(|e| session_failure(&e))
 }
 
@@ -412,7 +406,7 @@ async fn run_store_prune(args: &StorePruneArgs) -> Result<(), CliFailure> {
     }
     if let (Some(age), false) = (args.audit_older_than, args.dry_run) {
         let before = now.saturating_sub(milliseconds(age));
-        store.forget_audit(before).await.map_err(store_failure)?;
+        store.forget_audit(None, before).await.map_err(store_failure)?;
     }
     let (done, counts) = (
         if args.dry_run { "would be removed" } else { "removed" },

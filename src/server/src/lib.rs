@@ -20,7 +20,6 @@ mod redirect;
 mod reload;
 mod request_filter;
 mod response_watchdog;
-pub mod sample;
 mod state;
 mod stream_messages;
 mod telemetry;
@@ -28,7 +27,7 @@ pub mod tls;
 mod uploads;
 mod websocket;
 
-pub use config::ServerConfig;
+pub use config::{Error, ServerConfig};
 pub use request_filter::{Hosts, Origins};
 pub use telemetry::{TraceExport, logs_json, start_log};
 pub use tls::{CertificateField, LARGEST_TLS_FILE, TlsConfig};
@@ -36,14 +35,6 @@ pub use tls::{CertificateField, LARGEST_TLS_FILE, TlsConfig};
 use pliant_session::Manager;
 use std::future::Future;
 use tokio::net::TcpListener;
-
-/// The error of a server that could not run.
-#[derive(Debug, thiserror::Error)]
-pub enum Error {
-    /// The services could not be set up.
-    #[error("the services cannot start: {0}")]
-    Start(String),
-}
 
 /// Serves the sessions of `manager` on `listener` until `shutdown` resolves, then drains: new work is rejected, streams
 /// are notified, calls may finish until [`ServerConfig::drain_deadline`], then all is dropped.

@@ -1,7 +1,7 @@
 //! Answers of sessions as messages of the schema, and names of formats as callers write them.
 
 use pliant_asset::Format;
-use pliant_session::{CarriedAlong, Error, HistoryFacts, QuotaReport, QuotaUse, SessionConfig, SessionList};
+use pliant_session::{Error, SessionConfig, SessionList};
 use pliant_wire::{page_token, pb};
 use std::time::Duration;
 
@@ -48,31 +48,6 @@ pub(super) fn session_list(list: SessionList, config: &SessionConfig) -> pb::Lis
     }
 }
 
-/// Writes the commits of a session.
-pub(super) fn history_message(history: HistoryFacts) -> pb::HistoryResponse {
-    let commits = history.commits.into_iter().map(|commit| pb::Commit {
-        revision: commit.revision,
-        kind: commit.kind.into(),
-        digest: commit.digest,
-    });
-    pb::HistoryResponse {
-        commits: commits.collect(),
-        current: history.current,
-    }
-}
-
-/// Writes what was carried.
-pub(super) fn carried_message(carried: CarriedAlong) -> pb::CarryResponse {
-    let frames = &carried.frames;
-    pb::CarryResponse {
-        revision: carried.revision,
-        points: frames.iter().flat_map(|f| f.position.to_array()).collect(),
-        rotations: frames.iter().flat_map(|f| f.rotation.to_array()).collect(),
-        scales: frames.iter().map(|f| f.scale).collect(),
-        model: carried.model.into(),
-    }
-}
-
 /// Writes the limits for clients.
 pub(super) fn limits_message(config: &SessionConfig) -> pb::Limits {
     let narrow = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
@@ -99,18 +74,9 @@ pub(super) fn limits_message(config: &SessionConfig) -> pb::Limits {
 }
 
 /// Writes the limits with what a tenant may use of them, and what is left; `max_ttl` is the longest time that its sessions may name.
-pub(super) fn limits_left(config: &SessionConfig, report: &QuotaReport, max_ttl: Duration) -> pb::Limits {
-    let state = |quota: Option<QuotaUse>| quota.map(|QuotaUse { allowed, left }| pb::QuotaState { allowed, left });
-    let quotas = (*report != QuotaReport::default()).then(|| pb::Quotas {
-        sessions: state(report.sessions),
-        memory_bytes: state(report.memory_bytes),
-        stored_bytes: state(report.stored_bytes),
-        upload_bytes_per_minute: state(report.upload_bytes_per_minute),
-        solve_seconds_per_minute: state(report.solve_seconds_per_minute),
-        streams: state(report.streams),
-    });
+pub(super) fn limits_left(config: &SessionConfig, quotas: pb::Quotas, max_ttl: Duration) -> pb::Limits {
     pb::Limits {
-        quotas,
+        quotas: Some(quotas).filter(|quotas| *quotas != pb::Quotas::default()),
         ttl_seconds: max_ttl.as_secs_f64(),
         ..limits_message(config)
     }

@@ -63,7 +63,7 @@ impl ServerState {
         let sessions = manager.config();
         let uploads = UploadBudget::new(sessions.upload_bytes, sessions.memory_bytes / 2, &manager);
         let message_bytes = usize::try_from(sessions.message_bytes).unwrap_or(usize::MAX);
-        let telemetry = Telemetry::new(&manager);
+        let telemetry = Telemetry::new();
         Ok(Self(Arc::new(Inner {
             manager,
             config,

@@ -4,7 +4,7 @@
 //! for it, so a reader that stops costs no encoded bytes. Its numbers are written once, into the bytes of the message.
 
 use pliant_session::{
-    AnimationAnswer, AnimationReader, DeformStream, Error, ErrorCode, StreamAnswer, StreamInput, StreamOutput,
+    AnimationAnswer, AnimationReader, Error, ErrorCode, Manager, StreamAnswer, StreamInput, StreamOutput, Tenant,
 };
 use pliant_wire::frames::{Frame, FrameParts, OutgoingResponse, SentSteps, encode_next};
 use pliant_wire::pb::deform_response::Message;
@@ -28,15 +28,23 @@ pub(super) struct ResponseReceiver {
     is_broken: bool,
 }
 
-/// The two directions of a stream.
-pub(super) fn message_channels(stream: DeformStream, limits: StreamLimits) -> (RequestSender, ResponseReceiver) {
-    let (input, output) = stream.split();
-    let response_end = ResponseReceiver {
+/// The two directions of a stream of a session, which begins with this.
+///
+/// # Errors
+/// Those of [`Manager::stream`].
+pub(super) async fn open_stream(
+    manager: &Manager,
+    tenant: &Tenant,
+    id: &str,
+) -> Result<(RequestSender, ResponseReceiver), Error> {
+    let (input, output) = manager.stream(tenant, id).await?;
+    let limits = manager.config().stream_limits();
+    let responses = ResponseReceiver {
         output,
         parts: PartsToSend::default(),
         is_broken: false,
     };
-    (RequestSender { input, limits }, response_end)
+    Ok((RequestSender { input, limits }, responses))
 }
 
 impl RequestSender {

@@ -10,14 +10,14 @@ use super::connection::{ConnectionSlot, SocketFlags};
 use super::http::Caller;
 use super::http::problem::Problem;
 use super::state::ServerState;
-use super::stream_messages::{RequestSender, ResponseReceiver, failure_message, message_channels};
+use super::stream_messages::{RequestSender, ResponseReceiver, failure_message, open_stream};
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade};
 use axum::extract::{FromRequestParts as _, Path, Request, State};
 use futures::stream::{SplitSink, SplitStream};
 use futures::{SinkExt as _, StreamExt as _};
 use http::{StatusCode, header};
-use pliant_session::{DeformStream, Error, ErrorCode};
+use pliant_session::{Error, ErrorCode};
 use pliant_wire::pb;
 use pliant_wire::pb::deform_response::Message as Response;
 use prost::Message as _;
@@ -50,7 +50,7 @@ pub(super) async fn upgrade(
     let upgrade = WebSocketUpgrade::from_request_parts(&mut parts, &state)
         .await
         .map_err(no_upgrade)?;
-    let stream = caller.manager(&state).stream(&caller.tenant, &id).await?;
+    let (input, output) = open_stream(&caller.manager(&state), &caller.tenant, &id).await?;
     let largest = state.message_bytes;
     // The WebSocket holds the connection's slot until it ends.
     let slot: Option<ConnectionSlot> = parts.extensions.get().cloned();
@@ -64,7 +64,7 @@ pub(super) async fn upgrade(
         .max_frame_size(largest)
         .on_upgrade(move |socket| async move {
             state.telemetry.sockets.inc();
-            serve(&state, &id, socket, &flags, stream).await;
+            serve(&state, &id, socket, &flags, input, output).await;
             state.telemetry.sockets.dec();
             drop((slot, token));
         }))
@@ -105,8 +105,15 @@ impl SocketEnd {
     }
 }
 
-async fn serve(state: &ServerState, id: &str, socket: WebSocket, flags: &SocketFlags, stream: DeformStream) {
-    let (input, mut output) = message_channels(stream, state.manager.config().stream_limits());
+/// Serves a socket until one of its ends, or the server, closes it.
+async fn serve(
+    state: &ServerState,
+    id: &str,
+    socket: WebSocket,
+    flags: &SocketFlags,
+    input: RequestSender,
+    mut output: ResponseReceiver,
+) {
     let (mut sink, source) = socket.split();
     let seen = Arc::new(Notify::new());
     let ending = {

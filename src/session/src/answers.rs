@@ -3,7 +3,6 @@
 use crate::error::Error;
 use bytes::Bytes;
 use pliant_asset::{Format, WrittenFiles};
-use pliant_mesh::carry::CarriedFrame;
 use pliant_wire::frames::Frame;
 use pliant_wire::{AnimationSummary, pb};
 use std::sync::Arc;
@@ -51,26 +50,6 @@ pub struct SessionList {
     pub sessions: Vec<pb::Session>,
     /// The next page begins after the session with this number; `None` on the last page.
     pub next_after: Option<u64>,
-}
-
-/// The commits that a session can go to, oldest first.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct HistoryFacts {
-    /// The commits.
-    pub commits: Vec<CommitFacts>,
-    /// Revision of the one that the session is at.
-    pub current: u64,
-}
-
-/// A commit.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct CommitFacts {
-    /// The session's revision after it.
-    pub revision: u64,
-    /// What it did: "create", "handles", "pose" or "edit".
-    pub kind: &'static str,
-    /// Digest of the positions after it.
-    pub digest: String,
 }
 
 /// A pose solved and committed.
@@ -132,17 +111,6 @@ pub struct AnimatedModel {
     pub model: Bytes,
     /// The summary of its frames.
     pub summary: AnimationSummary,
-}
-
-/// What was carried along with the current shape.
-#[derive(Debug, Clone)]
-pub struct CarriedAlong {
-    /// The session's revision.
-    pub revision: u64,
-    /// Where each point is now, with its axes.
-    pub frames: Vec<CarriedFrame>,
-    /// The other model, carried.
-    pub model: Vec<u8>,
 }
 
 /// A model in its current shape.

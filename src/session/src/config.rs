@@ -129,20 +129,40 @@ impl SessionConfig {
     /// # Errors
     /// `INVALID_ARGUMENT` with the key and what is allowed.
     pub fn validate(&self) -> Result<(), Error> {
-        let at_least = |field: &str, seen: u128, least: u128| {
+        let (vertex_numbers, any) = (u128::from(u32::MAX), u128::MAX);
+        let ranges: [(&str, u128, u128, u128); 23] = [
+            ("upload_bytes", self.upload_bytes.into(), 1, any),
+            ("vertices", self.vertices.into(), 3, vertex_numbers),
+            ("triangles", self.triangles.into(), 1, any),
+            ("sessions", self.sessions as u128, 1, 1_000_000),
+            ("memory_bytes", self.memory_bytes.into(), 1 << 20, any),
+            ("handles", self.handles as u128, 1, vertex_numbers),
+            ("message_bytes", self.message_bytes.into(), 1024, any),
+            ("window", self.window.into(), 2, 64),
+            ("part_bytes", self.part_bytes as u128, 1024, any),
+            ("history", self.history as u128, 1, 100_000),
+            ("solve_ms", self.solve.as_millis(), 1, any),
+            ("build_ms", self.build.as_millis(), 1, any),
+            ("streams", self.streams as u128, 1, 1024),
+            ("animations", self.animations as u128, 1, 1024),
+            ("clip_bytes", self.clip_bytes.into(), 1024, any),
+            ("clip_joints", self.clip_joints as u128, 1, any),
+            ("animation_frames", self.animation_frames as u128, 1, any),
+            ("animation_vertices", self.animation_vertices.into(), 1, any),
+            ("stream_commits", self.stream_commits as u128, 1, any),
+            ("session_queue", self.session_queue as u128, 1, any),
+            ("compute_queue", self.compute_queue as u128, 1, any),
+            ("idempotency_keys", self.idempotency_keys as u128, 1, any),
+            ("idle", self.idle.as_millis(), 100, any),
+        ];
+        for (field, seen, least, most) in ranges {
             if seen < least {
-                Err(Error::invalid(field, format!("is {seen}, at least {least} is allowed")))
-            } else {
-                Ok(())
+                return Err(Error::invalid(field, format!("is {seen}, at least {least} is allowed")));
             }
-        };
-        let at_most = |field: &str, seen: u128, most: u128| {
             if seen > most {
-                Err(Error::invalid(field, format!("is {seen}, at most {most} is allowed")))
-            } else {
-                Ok(())
+                return Err(Error::invalid(field, format!("is {seen}, at most {most} is allowed")));
             }
-        };
+        }
         let spans = |field: &str, seen: Duration, [least, most]: [Duration; 2]| {
             if seen < least || seen > most {
                 let [seen, least, most] = [seen, least, most].map(humantime::format_duration);
@@ -153,36 +173,6 @@ impl SessionConfig {
             }
             Ok(())
         };
-        at_least("upload_bytes", self.upload_bytes.into(), 1)?;
-        at_least("vertices", self.vertices.into(), 3)?;
-        at_most("vertices", self.vertices.into(), u128::from(u32::MAX))?;
-        at_least("triangles", self.triangles.into(), 1)?;
-        at_least("sessions", self.sessions as u128, 1)?;
-        at_most("sessions", self.sessions as u128, 1_000_000)?;
-        at_least("memory_bytes", self.memory_bytes.into(), 1 << 20)?;
-        at_least("handles", self.handles as u128, 1)?;
-        at_most("handles", self.handles as u128, u128::from(u32::MAX))?;
-        at_least("message_bytes", self.message_bytes.into(), 1024)?;
-        at_least("window", self.window.into(), 2)?;
-        at_most("window", self.window.into(), 64)?;
-        at_least("part_bytes", self.part_bytes as u128, 1024)?;
-        at_least("history", self.history as u128, 1)?;
-        at_most("history", self.history as u128, 100_000)?;
-        at_least("solve_ms", self.solve.as_millis(), 1)?;
-        at_least("build_ms", self.build.as_millis(), 1)?;
-        at_least("streams", self.streams as u128, 1)?;
-        at_most("streams", self.streams as u128, 1024)?;
-        at_least("animations", self.animations as u128, 1)?;
-        at_most("animations", self.animations as u128, 1024)?;
-        at_least("clip_bytes", self.clip_bytes.into(), 1024)?;
-        at_least("clip_joints", self.clip_joints as u128, 1)?;
-        at_least("animation_frames", self.animation_frames as u128, 1)?;
-        at_least("animation_vertices", self.animation_vertices.into(), 1)?;
-        at_least("stream_commits", self.stream_commits as u128, 1)?;
-        at_least("session_queue", self.session_queue as u128, 1)?;
-        at_least("compute_queue", self.compute_queue as u128, 1)?;
-        at_least("idempotency_keys", self.idempotency_keys as u128, 1)?;
-        at_least("idle", self.idle.as_millis(), 100)?;
         spans("max_ttl", self.max_ttl, [MIN_TTL, LONGEST_TTL])?;
         spans("ttl", self.default_ttl, [MIN_TTL, self.max_ttl])?;
         self.quotas.default.validate()?;

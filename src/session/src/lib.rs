@@ -48,8 +48,8 @@ mod task;
 
 pub use animation::frame_outbox::{AnimationControl, AnimationReader};
 pub use answers::{
-    AnimatedModel, AnimationAnswer, CallKey, CarriedAlong, CommitFacts, CommittedPose, ExportedModel, HistoryFacts,
-    KeyedAnswer, PositionBuffer, SessionList, StreamAnswer, Tenant,
+    AnimatedModel, AnimationAnswer, CallKey, CommittedPose, ExportedModel, KeyedAnswer, PositionBuffer, SessionList,
+    StreamAnswer, Tenant,
 };
 pub use audit::audit_entry::{AuditEntry, AuditedAction, StoredAuditEntry};
 pub use calls::manager::Manager;
@@ -64,6 +64,6 @@ pub use error::OwnerAddress;
 pub use error::{Error, ErrorCode};
 pub use metrics::Metrics;
 pub use quota::tenant_account::MOST_TENANTS;
-pub use quota::tenant_account::{QuotaReport, QuotaUse, TenantAccount};
+pub use quota::tenant_account::TenantAccount;
 pub use quota::tenant_quota::{TenantQuota, TenantQuotas};
-pub use stream::ends::{DeformStream, StreamInput, StreamOutput};
+pub use stream::ends::{StreamInput, StreamOutput};

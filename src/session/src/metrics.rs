@@ -6,7 +6,7 @@ use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
-use prometheus_client::registry::{Registry, Unit};
+use prometheus_client::registry::{Metric, Registry, Unit};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -36,6 +36,10 @@ fn durations() -> Histogram {
 /// What happened since the start, and how things are now.
 #[derive(Debug)]
 pub struct Metrics {
+    /// Every count, under the name that operators know.
+    registry: Registry,
+    /// Bytes that sessions, uploads and answers may hold together.
+    pub(crate) bytes_limit: Gauge,
     /// Sessions held.
     pub sessions: Gauge,
     /// Sessions created.
@@ -52,9 +56,7 @@ pub struct Metrics {
     pub store_failures: Counter,
     /// Sessions lost to a defect.
     pub sessions_failed: Counter,
-    /// Bytes held and reserved, by what they are held for.
-    bytes_by_use: Family<[(&'static str, &'static str); 1], Gauge>,
-    /// The gauges of that family, in the order of [`MemoryUse::ALL`].
+    /// Bytes held and reserved, by what they are held for, in the order of [`MemoryUse::ALL`].
     bytes: [Gauge; MemoryUse::ALL.len()],
     /// Streams open.
     pub streams: Gauge,
@@ -96,44 +98,87 @@ pub struct Metrics {
     pub cancelled: Counter,
 }
 
+/// A count that operators know by this name.
+fn named<M: Metric + Clone + Default>(registry: &mut Registry, name: &str, help: &str) -> M {
+    let metric = M::default();
+    registry.register(name, help, metric.clone());
+    metric
+}
+
+/// A histogram of seconds, or a family of them, that operators know by this name.
+fn timed<M: Metric + Clone>(registry: &mut Registry, name: &str, help: &str, metric: M) -> M {
+    registry.register_with_unit(name, help, Unit::Seconds, metric.clone());
+    metric
+}
+
 impl Default for Metrics {
     fn default() -> Self {
+        let mut registry = Registry::with_prefix("pliant");
+        let r = &mut registry;
         let bytes_by_use = Family::<[(&str, &str); 1], Gauge>::default();
+        let bytes = MemoryUse::ALL.map(|what| bytes_by_use.get_or_create_owned(&[("use", what.name())]));
+        let by_work: Durations<WorkLabels> = Family::new_with_constructor(durations);
+        let by_stage: Durations<StageLabels> = Family::new_with_constructor(durations);
+        let sessions = named(r, "sessions", "Sessions held");
+        r.register(
+            "session_bytes",
+            "Bytes held by sessions and builds under way",
+            bytes[MemoryUse::Sessions as usize].clone(),
+        );
+        r.register("memory_bytes", "Bytes held, by use", bytes_by_use);
         Self {
-            bytes: MemoryUse::ALL.map(|what| bytes_by_use.get_or_create_owned(&[("use", what.name())])),
-            bytes_by_use,
-            sessions: Gauge::default(),
-            sessions_created: Counter::default(),
-            sessions_expired: Counter::default(),
-            sessions_reopened: Counter::default(),
-            sent_elsewhere: Counter::default(),
-            sessions_lost: Counter::default(),
-            store_failures: Counter::default(),
-            sessions_failed: Counter::default(),
-            streams: Gauge::default(),
-            animations: Gauge::default(),
-            poses_received: Counter::default(),
-            poses_solved: Counter::default(),
-            poses_superseded: Counter::default(),
-            poses_refused: Counter::default(),
-            commits: Counter::default(),
-            frames_sent: Counter::default(),
-            frame_bytes: Counter::default(),
-            cycles: Counter::default(),
-            solve: durations(),
-            queue: durations(),
-            build: durations(),
-            work: Family::new_with_constructor(durations),
-            stages: Family::new_with_constructor(durations),
-            pool_busy: Gauge::default(),
-            pool_waiting: Gauge::default(),
-            refused: Counter::default(),
-            cancelled: Counter::default(),
+            sessions,
+            streams: named(r, "streams", "Deform streams open"),
+            animations: named(r, "animations", "Animations under way"),
+            pool_busy: named(r, "pool_busy", "Pieces of work being computed"),
+            pool_waiting: named(r, "pool_waiting", "Pieces of work waiting for a compute slot"),
+            bytes_limit: named(
+                r,
+                "session_bytes_limit",
+                "Bytes that sessions, uploads and answers may hold together",
+            ),
+            bytes,
+            sessions_created: named(r, "sessions_created", "Sessions created"),
+            sessions_expired: named(r, "sessions_expired", "Sessions that expired unused"),
+            sessions_failed: named(r, "sessions_failed", "Sessions lost to a defect"),
+            sessions_reopened: named(r, "sessions_reopened", "Stored sessions that came back into memory"),
+            sessions_lost: named(r, "sessions_lost", "Sessions that other nodes have taken from this one"),
+            sent_elsewhere: named(
+                r,
+                "sent_elsewhere",
+                "Calls that were sent to the node that has their session",
+            ),
+            store_failures: named(r, "store_failures", "Commits and sessions that could not be stored"),
+            poses_received: named(r, "poses_received", "Poses that arrived"),
+            poses_solved: named(r, "poses_solved", "Poses solved"),
+            poses_superseded: named(r, "poses_superseded", "Poses skipped because a newer one came"),
+            poses_refused: named(r, "poses_refused", "Poses rejected"),
+            commits: named(r, "commits", "Commits stored"),
+            frames_sent: named(r, "frames_sent", "Frames handed to a transport"),
+            frame_bytes: named(r, "frame_bytes", "Bytes of the data of frames"),
+            cycles: named(r, "solver_cycles", "Solver cycles"),
+            refused: named(r, "refused", "Calls rejected because capacity ran out"),
+            cancelled: named(
+                r,
+                "cancelled",
+                "Work aborted because its caller disconnected or its time ran out",
+            ),
+            solve: timed(r, "solve", "Time from the start of a solve to its result", durations()),
+            queue: timed(r, "queue", "Time that work waited for a compute slot", durations()),
+            build: timed(r, "build", "Time that builds of sessions took", durations()),
+            work: timed(r, "work", "Time that pieces of work took, by kind", by_work),
+            stages: timed(r, "stage", "Time that stages of builds and edits took", by_stage),
+            registry,
         }
     }
 }
 
 impl Metrics {
+    /// Every count, under the names that operators know.
+    pub fn registry(&self) -> &Registry {
+        &self.registry
+    }
+
     /// Bytes held and reserved for one use.
     pub fn held_bytes(&self, what: MemoryUse) -> &Gauge {
         &self.bytes[what as usize]
@@ -151,112 +196,6 @@ impl Metrics {
             let stage = stage.clone();
             self.stages.get_or_create(&StageLabels { stage }).observe(ms / 1e3);
         }
-    }
-
-    /// What is counted, under the names that operators know.
-    fn counters(&self) -> [(&'static str, &'static str, &Counter); 17] {
-        [
-            ("sessions_created", "Sessions created", &self.sessions_created),
-            (
-                "sessions_expired",
-                "Sessions that expired unused",
-                &self.sessions_expired,
-            ),
-            ("sessions_failed", "Sessions lost to a defect", &self.sessions_failed),
-            (
-                "sessions_reopened",
-                "Stored sessions that came back into memory",
-                &self.sessions_reopened,
-            ),
-            (
-                "sessions_lost",
-                "Sessions that other nodes have taken from this one",
-                &self.sessions_lost,
-            ),
-            (
-                "sent_elsewhere",
-                "Calls that were sent to the node that has their session",
-                &self.sent_elsewhere,
-            ),
-            (
-                "store_failures",
-                "Commits and sessions that could not be stored",
-                &self.store_failures,
-            ),
-            ("poses_received", "Poses that arrived", &self.poses_received),
-            ("poses_solved", "Poses solved", &self.poses_solved),
-            (
-                "poses_superseded",
-                "Poses skipped because a newer one came",
-                &self.poses_superseded,
-            ),
-            ("poses_refused", "Poses rejected", &self.poses_refused),
-            ("commits", "Commits stored", &self.commits),
-            ("frames_sent", "Frames handed to a transport", &self.frames_sent),
-            ("frame_bytes", "Bytes of the data of frames", &self.frame_bytes),
-            ("solver_cycles", "Solver cycles", &self.cycles),
-            ("refused", "Calls rejected because capacity ran out", &self.refused),
-            (
-                "cancelled",
-                "Work aborted because its caller disconnected or its time ran out",
-                &self.cancelled,
-            ),
-        ]
-    }
-
-    /// Adds every count to a registry, under the names that operators know. `memory_bytes` is what all sessions together
-    /// may hold.
-    pub fn register(&self, memory_bytes: u64, registry: &mut Registry) {
-        let limit = Gauge::<i64>::default();
-        limit.set(i64::try_from(memory_bytes).unwrap_or(i64::MAX));
-        let gauges: [(&str, &str, &Gauge); 7] = [
-            ("sessions", "Sessions held", &self.sessions),
-            (
-                "session_bytes",
-                "Bytes held by sessions and builds under way",
-                self.held_bytes(MemoryUse::Sessions),
-            ),
-            ("streams", "Deform streams open", &self.streams),
-            ("animations", "Animations under way", &self.animations),
-            ("pool_busy", "Pieces of work being computed", &self.pool_busy),
-            (
-                "pool_waiting",
-                "Pieces of work waiting for a compute slot",
-                &self.pool_waiting,
-            ),
-            (
-                "session_bytes_limit",
-                "Bytes that sessions, uploads and answers may hold together",
-                &limit,
-            ),
-        ];
-        for (name, help, gauge) in gauges {
-            registry.register(name, help, gauge.clone());
-        }
-        registry.register("memory_bytes", "Bytes held, by use", self.bytes_by_use.clone());
-        for (name, help, counter) in self.counters() {
-            registry.register(name, help, counter.clone());
-        }
-        let durations: [(&str, &str, &Histogram); 3] = [
-            ("solve", "Time from the start of a solve to its result", &self.solve),
-            ("queue", "Time that work waited for a compute slot", &self.queue),
-            ("build", "Time that builds of sessions took", &self.build),
-        ];
-        for (name, help, durations) in durations {
-            registry.register_with_unit(name, help, Unit::Seconds, durations.clone());
-        }
-        registry.register_with_unit(
-            "work",
-            "Time that pieces of work took, by kind",
-            Unit::Seconds,
-            self.work.clone(),
-        );
-        registry.register_with_unit(
-            "stage",
-            "Time that stages of builds and edits took",
-            Unit::Seconds,
-            self.stages.clone(),
-        );
     }
 }
 

@@ -13,7 +13,7 @@ use crate::keeping::lease_watch::SessionLocks;
 use crate::metrics::Metrics;
 use crate::quota::tenant_account::TenantAccounts;
 use crate::registry::{OpenSession, SessionRegistry};
-use crate::store::ReadSessions;
+use crate::store::Store;
 use pliant_exec::progress::CancelFlag;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
@@ -34,7 +34,7 @@ pub(super) struct SharedResources {
     pub animations: Arc<Semaphore>,
     pub registry: SessionRegistry,
     /// Where sessions are kept; without it they end with the process.
-    pub store: Option<Arc<dyn ReadSessions>>,
+    pub store: Option<Arc<Store>>,
     /// When this node, of several, renewed its lease.
     pub lease_watch: LeaseWatch,
     /// Held while a session moves into memory or out.

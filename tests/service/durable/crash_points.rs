@@ -8,8 +8,8 @@
 use super::path;
 use crate::support::program::ServedProgram;
 use crate::support::server::{bar_obj, ends, turn_json};
-use pliant::session::store::{DatabaseStore, StoreLocation};
-use pliant::session::{Error, ErrorCode, HistoryFacts, Manager, OpenDeformer, SessionConfig, Tenant};
+use pliant::session::store::{Store, StoreLocation};
+use pliant::session::{Error, ErrorCode, Manager, OpenDeformer, SessionConfig, Tenant};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -40,7 +40,7 @@ impl SeenLog {
         }
     }
 
-    fn of(history: HistoryFacts) -> Self {
+    fn of(history: pliant::wire::pb::HistoryResponse) -> Self {
         Self {
             commits: history.commits.into_iter().map(|c| (c.revision, c.digest)).collect(),
             current: history.current,
@@ -107,7 +107,7 @@ async fn traced_life(folder: &Path) -> (String, Vec<(usize, Option<SeenLog>)>, P
 
 /// What a disk holds of a session.
 async fn opened(disk: &Path, id: &str) -> Result<Option<SeenLog>, Error> {
-    let store = DatabaseStore::open(&StoreLocation::in_folder(disk)).await?;
+    let store = Store::open(&StoreLocation::in_folder(disk)).await?;
     let config = SessionConfig {
         compute_threads: 1,
         ..SessionConfig::default()

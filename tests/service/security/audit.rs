@@ -6,7 +6,7 @@ use crate::support::postgres::PostgresServer;
 use crate::support::process::needed;
 use crate::support::program::ServedProgram;
 use crate::support::server::*;
-use pliant::session::store::{AuditFilter, DatabaseStore, KeepSessions as _, StoreLocation, read_audit};
+use pliant::session::store::{AuditFilter, Store, StoreLocation, read_audit};
 use pliant::session::{AuditEntry, AuditedAction, Tenant};
 use pliant::wire::pb::deform_request;
 use reqwest::Method;
@@ -213,7 +213,7 @@ async fn sessions_that_end_by_themselves_are_reported_too() {
 async fn what_is_old_is_forgotten_of_one_tenant_and_kept_of_another() {
     let folder = tempfile::tempdir().expect("a folder");
     let location = StoreLocation::in_folder(folder.path());
-    let store = DatabaseStore::open(&location).await.expect("a store");
+    let store = Store::open(&location).await.expect("a store");
     for tenant in ["a", "b"] {
         let entry = AuditEntry {
             tenant: Tenant(tenant.into()),
@@ -226,12 +226,12 @@ async fn what_is_old_is_forgotten_of_one_tenant_and_kept_of_another() {
     let tenants = async || store.audited_tenants().await.expect("tenants");
     assert_eq!(tenants().await, ["a", "b"].map(|t| Tenant(t.into())));
     store
-        .forget_audit_of(Tenant("a".into()), 0)
+        .forget_audit(Some(Tenant("a".into())), 0)
         .await
         .expect("nothing is that old");
     assert_eq!(tenants().await.len(), 2);
     store
-        .forget_audit_of(Tenant("a".into()), u64::MAX)
+        .forget_audit(Some(Tenant("a".into())), u64::MAX)
         .await
         .expect("forgotten");
     let mut left = Vec::new();

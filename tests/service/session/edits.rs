@@ -62,7 +62,7 @@ async fn edits_are_undone_and_redone_to_the_bit_and_go_on_alike() {
             *digests.last().expect("some"),
             "the same pose gives the same bits"
         );
-        let kinds: Vec<&str> = (fixture.history().await.commits.into_iter()).map(|c| c.kind).collect();
+        let kinds: Vec<String> = (fixture.history().await.commits.into_iter()).map(|c| c.kind).collect();
         assert_eq!(kinds[2..5], ["pose", "edit", "pose"]);
     }
 }

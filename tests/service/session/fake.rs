@@ -15,10 +15,10 @@ use pliant::engine::{
 };
 use pliant::exec::Exec;
 use pliant::progress::{Cancelled, Progress};
-use pliant::session::store::{DatabaseStore, StoreError, StoreLocation};
+use pliant::session::store::{Store, StoreError, StoreLocation};
 use pliant::session::{
-    self, CallKey, CommittedPose, DeformStream, Engine, EngineOpener, ExportedModel, HistoryFacts, Manager, MemoryUse,
-    Metrics, PositionBuffer, SessionConfig, StreamAnswer, StreamInput, StreamOutput, Tenant,
+    self, CallKey, CommittedPose, Engine, EngineOpener, ExportedModel, Manager, MemoryUse, Metrics, PositionBuffer,
+    SessionConfig, StreamAnswer, StreamInput, StreamOutput, Tenant,
 };
 use pliant::wire::{self, DeformOptions, PoseCommit, SessionEdit, SessionOptions, StreamRequest};
 use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
@@ -311,16 +311,14 @@ pub async fn until(holds: impl Fn() -> bool) {
 }
 
 /// The store of a folder, once the manager that had it before has left it.
-pub async fn store_at(location: &StoreLocation) -> DatabaseStore {
-    retried(
-        "a store",
-        Duration::from_millis(5),
-        async || match DatabaseStore::open(location).await {
+pub async fn store_at(location: &StoreLocation) -> Store {
+    retried("a store", Duration::from_millis(5), async || {
+        match Store::open(location).await {
             Ok(store) => Some(store),
             Err(StoreError::Refused(_)) => None,
             Err(error) => panic!("{error}"),
-        },
-    )
+        }
+    })
     .await
 }
 
@@ -413,7 +411,7 @@ impl Fixture {
         facts.expect("the session is open")
     }
 
-    pub async fn history(&self) -> HistoryFacts {
+    pub async fn history(&self) -> wire::pb::HistoryResponse {
         let history = self.manager.history(tenant(), &self.id).await;
         history.expect("the session is open")
     }
@@ -563,11 +561,7 @@ pub struct SeenFrame {
 
 impl StreamClient {
     pub async fn open(manager: &Manager, id: &str) -> Self {
-        Self::of(manager.stream(tenant(), id).await.expect("a stream"))
-    }
-
-    pub fn of(stream: DeformStream) -> Self {
-        let (input, output) = stream.split();
+        let (input, output) = manager.stream(tenant(), id).await.expect("a stream");
         Self { input, output }
     }
 

@@ -3,8 +3,8 @@
 use super::fake::*;
 use crate::support::server::retried;
 use pliant::session::store::StoreLocation;
-use pliant::session::{ErrorCode, HistoryFacts, Manager, MemoryUse, StreamAnswer};
-use pliant::wire::SessionOptions;
+use pliant::session::{ErrorCode, Manager, MemoryUse, StreamAnswer};
+use pliant::wire::{self, SessionOptions};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
@@ -239,12 +239,12 @@ async fn opened_by(folder: &Path, build: &str, late_digits: u64) -> Manager {
     opened.expect("a store")
 }
 
-async fn history(manager: &Manager, id: &str) -> HistoryFacts {
+async fn history(manager: &Manager, id: &str) -> wire::pb::HistoryResponse {
     manager.history(tenant(), id).await.expect("served")
 }
 
 /// A session with so many poses, made by the build "one".
-async fn made(folder: &Path, poses: u32) -> (String, HistoryFacts) {
+async fn made(folder: &Path, poses: u32) -> (String, wire::pb::HistoryResponse) {
     let manager = opened_by(folder, "one", 0).await;
     let id = open(&manager).await;
     for k in 1..=poses {
@@ -272,7 +272,8 @@ async fn late_digits_of_another_build_are_recorded_again() {
     let (id, by_one) = made(folder.path(), 3).await;
     let manager = opened_by(folder.path(), "two", 1).await;
     let by_two = history(&manager, &id).await;
-    let revisions = |h: &HistoryFacts| -> Vec<_> { h.commits.iter().map(|c| (c.revision, c.kind)).collect() };
+    let revisions =
+        |h: &wire::pb::HistoryResponse| -> Vec<_> { h.commits.iter().map(|c| (c.revision, c.kind.clone())).collect() };
     assert_eq!(revisions(&by_two), revisions(&by_one));
     for (one, two) in by_one.commits.iter().zip(&by_two.commits) {
         assert_eq!(one.digest == two.digest, one.kind != "pose", "{one:?} {two:?}");

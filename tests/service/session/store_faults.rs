@@ -1,20 +1,21 @@
 //! A store that fails or waits at any of its calls: what would change something is refused and changes nothing, the rest goes on.
 
 use super::fake::*;
-use super::faulty_store::FaultyStore;
+use super::faulty_store::Faults;
 use pliant::session::store::StoreLocation;
-use pliant::session::{Error, ErrorCode, HistoryFacts, Manager};
-use pliant::wire::SessionPage;
+use pliant::session::{Error, ErrorCode, Manager};
+use pliant::wire::{self, SessionPage};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
 
-async fn opened(folder: &Path) -> (Manager, Arc<FaultyStore>) {
+async fn opened(folder: &Path) -> (Manager, Arc<Faults>) {
     let location = StoreLocation::in_folder(folder);
-    let store = Arc::new(FaultyStore::over(store_at(&location).await));
+    let faults = Arc::new(Faults::default());
+    let store = store_at(&location).await.with_faults(Arc::clone(&faults) as Arc<_>);
     let control = Arc::new(Control::default());
-    let manager = Manager::with_store(small(), OpenFake(control), Arc::clone(&store) as Arc<_>).await;
-    (manager.expect("a store"), store)
+    let manager = Manager::with_store(small(), OpenFake(control), Arc::new(store)).await;
+    (manager.expect("a store"), faults)
 }
 
 fn page() -> SessionPage {
@@ -57,7 +58,7 @@ async fn stubborn(manager: &Manager, id: &str, what: LifeStep) -> bool {
 }
 
 /// The life of a session on a store whose call number `fails_at` fails: whether any did, and the history at its end.
-async fn life(folder: &Path, fails_at: u64) -> (bool, String, HistoryFacts) {
+async fn life(folder: &Path, fails_at: u64) -> (bool, String, wire::pb::HistoryResponse) {
     let (manager, store) = opened(folder).await;
     store.fails_at.store(fails_at, SeqCst);
     let made = manager.create(tenant(), model("points 4"), options(), None).await;

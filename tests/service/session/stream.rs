@@ -192,7 +192,7 @@ async fn commits_are_never_skipped_and_stay_in_order() {
         (&[3.0, 2.0][..], &[4.0, 2.0][..])
     );
     let history = fixture.history().await;
-    let kinds: Vec<&str> = history.commits.iter().map(|c| c.kind).collect();
+    let kinds: Vec<&str> = history.commits.iter().map(|c| c.kind.as_str()).collect();
     assert_eq!(kinds, ["create", "handles", "pose", "pose"]);
     let solved = fixture.solve(solve(&[])).await;
     assert_eq!(

@@ -12,6 +12,7 @@ use http::Uri;
 use pliant_session::store::NodeIdentity;
 use pliant_session::{TenantQuota, TenantQuotas};
 use std::net::IpAddr;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -111,102 +112,104 @@ impl ServerConfig {
     /// Reads the keys that concern connections; those that are absent leave the defaults. What can be reached from elsewhere
     /// has names that only its operator knows: without the key, it answers to all.
     pub(super) fn from_keys(merged: &MergedKeys, listen: IpAddr, file: Option<&Path>) -> Result<Self, Error> {
-        let (keys, defaults) = (&merged.keys, Self::default());
-        let count = |key: &str, value: &Option<KeyValue<u32>>, default: u32, highest: u32| match KeyValue::read(value) {
-            Some(value) if value == 0 || value > highest => {
-                Err(merged.refuse(key, format!("{value} is out of range; allowed are 1 to {highest}")))
+        let keys = &merged.keys;
+        let mut config = Self::default();
+        let set_count = |key: &str, value: &Option<KeyValue<u32>>, count: &mut u32, highest: u32| {
+            let seen = KeyValue::read(value).unwrap_or(*count);
+            if seen == 0 || seen > highest {
+                return Err(merged.refuse(key, format!("{seen} is out of range; allowed are 1 to {highest}")));
             }
-            value => Ok(value.unwrap_or(default)),
+            *count = seen;
+            Ok(())
         };
-        let time =
-            |key: &str, value: &Option<KeyValue<TimeSpan>>, default: Duration, lowest: Duration| match KeyValue::read(
-                value,
-            ) {
-                Some(TimeSpan(value)) if value < lowest || value > HOUR => {
-                    let problem = format!(
-                        "{} is out of range; allowed are {} to {}",
-                        humantime::format_duration(value),
-                        humantime::format_duration(lowest),
-                        humantime::format_duration(HOUR)
-                    );
-                    Err(merged.refuse(key, problem))
-                }
-                value => Ok(value.map_or(default, |span| span.0)),
-            };
-        let origins = KeyValue::read(&keys.cors_origins).map(|words| Origins::parse(&words.0));
-        let hosts = KeyValue::read(&keys.hosts).map(|words| Hosts::parse(&words.0));
-        Ok(Self {
-            connections: count("connections", &keys.connections, defaults.connections, 1_000_000)?,
-            connections_per_peer: count(
-                "connections_per_peer",
-                &keys.connections_per_peer,
-                defaults.connections_per_peer,
-                1_000_000,
-            )?,
-            requests_per_connection: count(
-                "requests_per_connection",
-                &keys.requests_per_connection,
-                defaults.requests_per_connection,
-                65_536,
-            )?,
-            header_timeout: time(
+        set_count("connections", &keys.connections, &mut config.connections, 1_000_000)?;
+        let (value, per_peer) = (&keys.connections_per_peer, &mut config.connections_per_peer);
+        set_count("connections_per_peer", value, per_peer, 1_000_000)?;
+        let (value, requests) = (&keys.requests_per_connection, &mut config.requests_per_connection);
+        set_count("requests_per_connection", value, requests, 65_536)?;
+        for (key, value, time, lowest) in [
+            (
                 "header_timeout",
                 &keys.header_timeout,
-                defaults.header_timeout,
+                &mut config.header_timeout,
                 10 * MILLISECOND,
-            )?,
-            keepalive_interval: time(
+            ),
+            (
                 "keepalive_interval",
                 &keys.keepalive_interval,
-                defaults.keepalive_interval,
+                &mut config.keepalive_interval,
                 SECOND,
-            )?,
-            keepalive_timeout: time(
+            ),
+            (
                 "keepalive_timeout",
                 &keys.keepalive_timeout,
-                defaults.keepalive_timeout,
+                &mut config.keepalive_timeout,
                 SECOND,
-            )?,
-            upload_rate: match KeyValue::read(&keys.upload_rate) {
-                Some(ByteSize(0)) => {
-                    return Err(merged.refuse("upload_rate", "0 is out of range; allowed is 1 or more".into()));
-                }
-                rate => rate.map_or(defaults.upload_rate, |rate| rate.0),
-            },
-            upload_deadline: time(
+            ),
+            (
                 "upload_deadline",
                 &keys.upload_deadline,
-                defaults.upload_deadline,
+                &mut config.upload_deadline,
                 10 * MILLISECOND,
-            )?,
-            unread_deadline: time(
+            ),
+            (
                 "unread_deadline",
                 &keys.unread_deadline,
-                defaults.unread_deadline,
+                &mut config.unread_deadline,
                 10 * MILLISECOND,
-            )?,
-            drain_deadline: time(
+            ),
+            (
                 "drain_deadline",
                 &keys.drain_deadline,
-                defaults.drain_deadline,
+                &mut config.drain_deadline,
                 10 * MILLISECOND,
-            )?,
-            hosts: match hosts {
-                Some(hosts) => hosts.map_err(|problem| merged.refuse("hosts", problem))?,
-                None if listen.is_loopback() => defaults.hosts,
-                None => Hosts::any(),
-            },
-            origins: match origins {
-                Some(origins) => origins.map_err(|problem| merged.refuse("cors_origins", problem))?,
-                None => defaults.origins,
-            },
-            reflection: KeyValue::read(&keys.reflection).unwrap_or(defaults.reflection),
-            metrics: KeyValue::read(&keys.metrics).unwrap_or(defaults.metrics),
+            ),
+        ] {
+            *time = time_within(merged, key, value, *time, lowest..=HOUR)?;
+        }
+        if let Some(ByteSize(rate)) = KeyValue::read(&keys.upload_rate) {
+            if rate == 0 {
+                return Err(merged.refuse("upload_rate", "0 is out of range; allowed is 1 or more".into()));
+            }
+            config.upload_rate = rate;
+        }
+        match KeyValue::read(&keys.hosts) {
+            Some(words) => config.hosts = Hosts::parse(&words.0).map_err(|e| merged.refuse("hosts", e))?,
+            None if listen.is_loopback() => {}
+            None => config.hosts = Hosts::any(),
+        }
+        if let Some(words) = KeyValue::read(&keys.cors_origins) {
+            config.origins = Origins::parse(&words.0).map_err(|e| merged.refuse("cors_origins", e))?;
+        }
+        let is_set = |value: &Option<KeyValue<bool>>, default| KeyValue::read(value).unwrap_or(default);
+        Ok(Self {
+            reflection: is_set(&keys.reflection, config.reflection),
+            metrics: is_set(&keys.metrics, config.metrics),
+            insecure_open: is_set(&keys.insecure_open, config.insecure_open),
             auth: auth_from_keys(merged, file)?,
             tls: tls_from_keys(merged)?,
-            insecure_open: KeyValue::read(&keys.insecure_open).unwrap_or(defaults.insecure_open),
+            ..config
         })
     }
+}
+
+/// The time of a key, or the default where it is absent, which must lie within a range.
+fn time_within(
+    merged: &MergedKeys,
+    key: &str,
+    value: &Option<KeyValue<TimeSpan>>,
+    default: Duration,
+    range: RangeInclusive<Duration>,
+) -> Result<Duration, Error> {
+    let time = KeyValue::read(value).map_or(default, |span| span.0);
+    if range.contains(&time) {
+        return Ok(time);
+    }
+    let [time, lowest, highest] = [time, *range.start(), *range.end()].map(humantime::format_duration);
+    Err(merged.refuse(
+        key,
+        format!("{time} is out of range; allowed are {lowest} to {highest}"),
+    ))
 }
 
 /// Reads the keys of TLS; `None` where there is none.
@@ -246,14 +249,7 @@ fn tls_from_keys(merged: &MergedKeys) -> Result<Option<TlsConfig>, Error> {
 fn quotas_from_keys(merged: &MergedKeys) -> Result<TenantQuotas, Error> {
     let check = |place: String, quota: TenantQuota| match quota.validate() {
         Ok(()) => Ok(quota),
-        Err(error) => {
-            let key = error.field.as_deref().unwrap_or_default();
-            let problem = error.message.strip_prefix(key).unwrap_or(&error.message);
-            Err(merged.refuse(
-                &format!("{place}.{key}"),
-                problem.trim_start_matches([':', ' ']).to_owned(),
-            ))
-        }
+        Err(error) => Err(refuse_field(merged, &format!("{place}."), &error)),
     };
     let default = merged.keys.quotas.clone().unwrap_or_default();
     let named = merged.keys.tenants.clone().unwrap_or_default().into_iter();
@@ -325,12 +321,18 @@ pub(super) fn session_config_from_keys(merged: &MergedKeys) -> Result<pliant_ses
             format!("{} is out of range; allowed are 1KiB to 256MiB", config.message_bytes),
         ));
     }
-    config.validate().map_err(|error| {
-        let key = error.field.as_deref().unwrap_or_default();
-        let problem = error.message.strip_prefix(key).unwrap_or(&error.message);
-        merged.refuse(key, problem.trim_start_matches([':', ' ']).to_owned())
-    })?;
+    config.validate().map_err(|error| refuse_field(merged, "", &error))?;
     Ok(config)
+}
+
+/// The refusal of a value that the sessions refuse: of the key that is called as its field, in the table `table`.
+fn refuse_field(merged: &MergedKeys, table: &str, error: &pliant_session::Error) -> Error {
+    let key = error.field.as_deref().unwrap_or_default();
+    let problem = error.message.strip_prefix(key).unwrap_or(&error.message);
+    merged.refuse(
+        &format!("{table}{key}"),
+        problem.trim_start_matches([':', ' ']).to_owned(),
+    )
 }
 
 /// This server as one of several nodes, if it is one.
@@ -350,31 +352,11 @@ pub(super) fn node_identity(merged: &MergedKeys) -> Result<Option<NodeIdentity>,
         let problem = format!("\"{name}\" is not a name; allowed are 1 to 100 letters, digits, dots, colons, _ and -");
         return Err(merged.refuse("node", problem));
     }
-    let time = |key: &str, value: &Option<KeyValue<TimeSpan>>, default: Duration, range: (Duration, Duration)| {
-        let value = KeyValue::read(value).map_or(default, |span| span.0);
-        if value >= range.0 && value <= range.1 {
-            return Ok(value);
-        }
-        let [lowest, highest] = [range.0, range.1].map(humantime::format_duration);
-        let problem = format!(
-            "{} is out of range; allowed are {lowest} to {highest}",
-            humantime::format_duration(value)
-        );
-        Err(merged.refuse(key, problem))
-    };
-    let lease = time(
-        "lease",
-        &keys.lease,
-        LEASE,
-        (500 * MILLISECOND, Duration::from_secs(300)),
-    )?;
+    let leases = 500 * MILLISECOND..=Duration::from_secs(300);
+    let lease = time_within(merged, "lease", &keys.lease, LEASE, leases)?;
     // Two words may be lost before the lease has run out.
-    let heartbeat = time(
-        "heartbeat",
-        &keys.heartbeat,
-        HEARTBEAT.min(lease / 3),
-        (50 * MILLISECOND, lease / 3),
-    )?;
+    let beats = 50 * MILLISECOND..=lease / 3;
+    let heartbeat = time_within(merged, "heartbeat", &keys.heartbeat, HEARTBEAT.min(lease / 3), beats)?;
     Ok(Some(NodeIdentity {
         name,
         address: address.trim_end_matches('/').to_owned(),

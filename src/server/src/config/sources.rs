@@ -242,9 +242,12 @@ fn is_service_link(name: &str, value: &str) -> bool {
         || name.contains("_PORT") && (is_address || names_protocol)
 }
 
-/// The configuration cannot be used: the file, or the value of a key.
+/// Why a server does not run: its configuration cannot be used, or its services cannot be set up.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Error {
+    /// The services could not be set up.
+    #[error("the services cannot start: {0}")]
+    Start(String),
     /// The file cannot be read.
     #[error("cannot read configuration file {path}: {problem}")]
     File {

@@ -9,6 +9,7 @@ use crate::redirect;
 use crate::state::ServerState;
 use bytes::Bytes;
 use futures::Stream;
+use pliant_session::Error;
 use pliant_wire::frames::{OutgoingResponse, encode};
 use pliant_wire::pb;
 use std::pin::Pin;
@@ -30,10 +31,14 @@ impl Calls {
         Self { state }
     }
 
-    fn session(&self, session: pb::Session) -> GrpcAnswer<pb::Session> {
-        let message = messages::described_session(session, self.state.manager.config());
-        Ok(Response::new(message))
+    fn session(&self, session: Result<pb::Session, Error>) -> GrpcAnswer<pb::Session> {
+        let config = self.state.manager.config();
+        answer(session.map(|session| messages::described_session(session, config)))
     }
+}
+
+fn answer<T>(result: Result<T, Error>) -> GrpcAnswer<T> {
+    result.map(Response::new).map_err(status)
 }
 
 fn sent<T: Send + 'static>(items: impl IntoIterator<Item = T, IntoIter: Send + 'static>) -> Sent<T> {
@@ -48,43 +53,30 @@ impl Deformer for Calls {
         self.state.manager.place_new(was_sent).await.map_err(status)?;
         let upload = streams::receive_upload(&self.state, &call.tenant, call.message).await?;
         let key = call_key(call.key, &upload.options);
-        let options =
-            pliant_wire::session_options(&upload.options, call.manager.ttl_range(&call.tenant).map_err(status)?)
-                .map_err(status)?;
+        let ttls = call.manager.ttl_range(&call.tenant).map_err(status)?;
+        let options = pliant_wire::session_options(&upload.options, ttls).map_err(status)?;
         // From here on the session's own reservation has room for them.
         drop(upload.held);
-        let created = call
-            .manager
-            .create(&call.tenant, upload.files, options, key)
-            .await
-            .map_err(status)?;
-        self.session(created.value)
+        let created = call.manager.create(&call.tenant, upload.files, options, key).await;
+        self.session(created.map(|created| created.value))
     }
 
     async fn get_session(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::Session> {
         let call = Call::read(&self.state, request)?;
-        self.session(
-            call.manager
-                .get(&call.tenant, &call.message.session_id)
-                .await
-                .map_err(status)?,
-        )
+        self.session(call.manager.get(&call.tenant, &call.message.session_id).await)
     }
 
     async fn list_sessions(&self, request: Request<pb::ListSessionsRequest>) -> GrpcAnswer<pb::ListSessionsResponse> {
         let call = Call::read(&self.state, request)?;
         let page = pliant_wire::session_page(&call.message).map_err(status)?;
-        let list = call.manager.list(&call.tenant, page).await.map_err(status)?;
-        Ok(Response::new(messages::session_list(list, call.manager.config())))
+        let list = call.manager.list(&call.tenant, page).await;
+        answer(list.map(|list| messages::session_list(list, call.manager.config())))
     }
 
     async fn delete_session(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::DeleteSessionResponse> {
         let call = Call::read(&self.state, request)?;
-        call.manager
-            .delete(&call.tenant, &call.message.session_id)
-            .await
-            .map_err(status)?;
-        Ok(Response::new(pb::DeleteSessionResponse {}))
+        let deleted = call.manager.delete(&call.tenant, &call.message.session_id).await;
+        answer(deleted.map(|()| pb::DeleteSessionResponse {}))
     }
 
     async fn set_handles(&self, request: Request<pb::SetHandlesRequest>) -> GrpcAnswer<pb::Session> {
@@ -93,7 +85,7 @@ impl Deformer for Calls {
         let set = call
             .manager
             .set_handles(&call.tenant, &call.message.session_id, handles, key);
-        self.session(set.await.map_err(status)?)
+        self.session(set.await)
     }
 
     type DeformStream = Sent<OutgoingResponse>;
@@ -112,7 +104,7 @@ impl Deformer for Calls {
         let solved = call
             .manager
             .solve(&call.tenant, &call.message.session_id, pose, call.call_key());
-        Ok(Response::new(sent(encode(solved.await.map_err(status)?.frame))))
+        answer(solved.await.map(|solved| sent(encode(solved.frame))))
     }
 
     async fn edit(&self, request: Request<pb::EditRequest>) -> GrpcAnswer<pb::EditResult> {
@@ -121,7 +113,7 @@ impl Deformer for Calls {
         let done = call
             .manager
             .edit(&call.tenant, &call.message.session_id, edit, call.call_key());
-        Ok(Response::new(done.await.map_err(status)?))
+        answer(done.await)
     }
 
     async fn undo(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::Session> {
@@ -129,7 +121,7 @@ impl Deformer for Calls {
         let undone = call
             .manager
             .undo(&call.tenant, &call.message.session_id, call.key.as_deref());
-        self.session(undone.await.map_err(status)?)
+        self.session(undone.await)
     }
 
     async fn redo(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::Session> {
@@ -137,17 +129,12 @@ impl Deformer for Calls {
         let redone = call
             .manager
             .redo(&call.tenant, &call.message.session_id, call.key.as_deref());
-        self.session(redone.await.map_err(status)?)
+        self.session(redone.await)
     }
 
     async fn history(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::HistoryResponse> {
         let call = Call::read(&self.state, request)?;
-        let history = call
-            .manager
-            .history(&call.tenant, &call.message.session_id)
-            .await
-            .map_err(status)?;
-        Ok(Response::new(messages::history_message(history)))
+        answer(call.manager.history(&call.tenant, &call.message.session_id).await)
     }
 
     type ExportStream = Sent<pb::Chunk>;
@@ -158,11 +145,8 @@ impl Deformer for Calls {
             "" => None,
             name => Some(parse_format_name("format", name).map_err(status)?),
         };
-        let exported = call
-            .manager
-            .export(&call.tenant, &call.message.session_id, format)
-            .await
-            .map_err(status)?;
+        let exported = call.manager.export(&call.tenant, &call.message.session_id, format);
+        let exported = exported.await.map_err(status)?;
         let mut followed = pliant_wire::followed_message(&exported.written.followed);
         let main = (String::new(), exported.written.main);
         let files: Vec<_> = std::iter::once(main).chain(exported.written.companions).collect();
@@ -176,12 +160,7 @@ impl Deformer for Calls {
     async fn carry(&self, request: Request<pb::CarryRequest>) -> GrpcAnswer<pb::CarryResponse> {
         let call = Call::read(&self.state, request)?.on_session(&self.state).await?;
         let order = pliant_wire::carry_order(&call.message).map_err(status)?;
-        let carried = call
-            .manager
-            .carry(&call.tenant, &call.message.session_id, order)
-            .await
-            .map_err(status)?;
-        Ok(Response::new(messages::carried_message(carried)))
+        answer(call.manager.carry(&call.tenant, &call.message.session_id, order).await)
     }
 
     type AnimateStream = Sent<pb::Frame>;
@@ -198,7 +177,7 @@ impl Deformer for Calls {
         let longest = *call.manager.ttl_range(&call.tenant).map_err(status)?.end();
         Ok(Response::new(messages::limits_left(
             call.manager.config(),
-            &left,
+            left,
             longest,
         )))
     }

@@ -8,7 +8,7 @@ use super::codec::Call;
 use super::codec::inbound_message;
 use super::codec::status;
 use crate::state::ServerState;
-use crate::stream_messages::{AnimationFrames, RequestSender, ResponseReceiver, message_channels};
+use crate::stream_messages::{AnimationFrames, RequestSender, ResponseReceiver, open_stream};
 use crate::uploads::{HeldUpload, UploadPace};
 use bytes::Bytes;
 use futures::future::pending;
@@ -114,8 +114,7 @@ impl OpenStream {
             return Err(status(Error::invalid("sessionId", problem)));
         };
         let id = std::mem::take(&mut first.session_id);
-        let stream = call.manager.stream(&call.tenant, &id).await.map_err(status)?;
-        let (input, output) = message_channels(stream, state.manager.config().stream_limits());
+        let (input, output) = open_stream(&call.manager, &call.tenant, &id).await.map_err(status)?;
         if first.message.is_some() {
             input.push(&first).map_err(status)?;
         }

@@ -7,8 +7,8 @@ use super::create::built_in_model;
 use super::models::{Download, unchanged};
 use super::problem::{self, Problem};
 use super::request::{Caller, Names, parameters};
+use crate::openapi;
 use crate::state::ServerState;
-use crate::{openapi, sample};
 use axum::body::Body;
 use axum::extract::State;
 use axum::response::{IntoResponse as _, Response};
@@ -16,6 +16,7 @@ use bytes::Bytes;
 use http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use pliant_asset::sample::BuiltInModel;
 use pliant_session::{Error, ErrorCode};
+use xxhash_rust::xxh3::xxh3_64;
 
 /// Answers while the process lives.
 pub(super) async fn alive() -> &'static str {
@@ -55,7 +56,11 @@ pub(super) async fn metrics(State(state): State<ServerState>, caller: Caller) ->
         return Err(Error::new(ErrorCode::PermissionDenied, text).into());
     }
     let kind = "application/openmetrics-text; version=1.0.0; charset=utf-8";
-    Ok(([(header::CONTENT_TYPE, kind)], state.telemetry.text()).into_response())
+    Ok((
+        [(header::CONTENT_TYPE, kind)],
+        state.telemetry.text(state.manager.metrics()),
+    )
+        .into_response())
 }
 
 pub(super) async fn openapi() -> Result<Response, Problem> {
@@ -67,7 +72,8 @@ pub(super) async fn sample(_: Caller, uri: Uri, headers: HeaderMap) -> Result<Re
     let name = parameters(&uri, &["name"])?.remove("name");
     let model = name.map_or(Ok(BuiltInModel::Creature), |name| built_in_model("name", &name))?;
     let bytes = Bytes::from_static(model.glb());
-    let etag = sample::etag(&bytes);
+    // It never changes while the server runs.
+    let etag = format!("\"{:016x}\"", xxh3_64(&bytes));
     let download = Download {
         bytes,
         media_type: pliant_asset::Format::GLB.media_type(),

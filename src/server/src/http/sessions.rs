@@ -1,7 +1,7 @@
 //! The calls on sessions that answer with JSON; a solve, which may answer with a vertex buffer or the deformed model; and a clip that
 //! drives a session's model, as frames in a row or as a GLB that plays it.
 
-use super::problem::{Problem, clip, clip as shortened};
+use super::problem::{Problem, clip};
 use super::request::{Caller, SessionCall, negotiate, parameters};
 use super::upload::FormReader;
 use super::{body, models};
@@ -69,14 +69,13 @@ pub(super) async fn redo(call: SessionCall) -> Result<Response, Problem> {
 }
 
 pub(super) async fn history(call: SessionCall) -> Result<Response, Problem> {
-    let history = call.manager.history(&call.caller.tenant, &call.id).await?;
-    json(&messages::history_message(history))
+    json(&call.manager.history(&call.caller.tenant, &call.id).await?)
 }
 
 pub(super) async fn limits(State(state): State<ServerState>, caller: Caller) -> Result<Response, Problem> {
     let left = state.manager.quotas_left(&caller.tenant).await?;
     let longest = *state.manager.ttl_range(&caller.tenant)?.end();
-    json(&messages::limits_left(state.manager.config(), &left, longest))
+    json(&messages::limits_left(state.manager.config(), left, longest))
 }
 
 pub(super) async fn set_handles(call: SessionCall, request: Request) -> Result<Response, Problem> {
@@ -134,8 +133,7 @@ pub(super) async fn edit(call: SessionCall, request: Request) -> Result<Response
 pub(super) async fn carry(call: SessionCall, request: Request) -> Result<Response, Problem> {
     let message: pb::CarryRequest = call.message(request).await?;
     let order = pliant_wire::carry_order(&message)?;
-    let carried = call.manager.carry(&call.caller.tenant, &call.id, order).await?;
-    json(&messages::carried_message(carried))
+    json(&call.manager.carry(&call.caller.tenant, &call.id, order).await?)
 }
 
 const JSON: &str = "application/json";
@@ -342,10 +340,7 @@ async fn received_form(state: &ServerState, request: Request) -> Result<Animatio
             "options" => (&mut parts.options, state.message_bytes),
             "clip" => (&mut parts.clip, clip_bytes),
             other => {
-                let text = format!(
-                    "the form has a part \"{}\"; allowed are options and clip",
-                    shortened(other)
-                );
+                let text = format!("the form has a part \"{}\"; allowed are options and clip", clip(other));
                 return Err(Error::malformed(text).into());
             }
         };
@@ -382,7 +377,7 @@ fn model_answer(played: AnimatedModel) -> Response {
         }
     }
     for warning in warnings {
-        if let Ok(value) = HeaderValue::from_str(&shortened(&warning)) {
+        if let Ok(value) = HeaderValue::from_str(&clip(&warning)) {
             headers.append(HeaderName::from_static("x-pliant-warning"), value);
         }
     }

@@ -15,8 +15,9 @@ use axum::body::Body;
 use bytes::Bytes;
 use http::{HeaderMap, Method, Request};
 use http_body::{Body as HttpBody, Frame, SizeHint};
-use pliant_session::Manager;
+use pliant_session::Metrics;
 use prometheus_client::encoding::EncodeLabelSet;
+use prometheus_client::encoding::text::{encode, encode_registry};
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
@@ -67,8 +68,8 @@ fn seconds_histogram() -> Histogram {
 }
 
 impl Telemetry {
-    /// Counts that also report those of `manager`.
-    pub fn new(manager: &Manager) -> Self {
+    /// Counts that are all 0.
+    pub fn new() -> Self {
         let mut registry = Registry::with_prefix("pliant");
         let calls = Family::<CallLabels, Counter>::default();
         let seconds = Family::<RouteLabels, Histogram, fn() -> Histogram>::new_with_constructor(seconds_histogram);
@@ -98,7 +99,6 @@ impl Telemetry {
             connections_refused.clone(),
         );
         registry.register("websockets", "WebSockets open", sockets.clone());
-        manager.metrics().register(manager.config().memory_bytes, &mut registry);
         Self {
             registry: Arc::new(registry),
             calls,
@@ -110,11 +110,11 @@ impl Telemetry {
         }
     }
 
-    /// All counts as OpenMetrics text.
-    pub fn text(&self) -> String {
+    /// All counts as OpenMetrics text, those of `sessions` after the server's own.
+    pub fn text(&self, sessions: &Metrics) -> String {
         let mut text = String::new();
         // Writing into a String cannot fail.
-        let _ = prometheus_client::encoding::text::encode(&mut text, &self.registry);
+        let _ = encode_registry(&mut text, &self.registry).and_then(|()| encode(&mut text, sessions.registry()));
         text
     }
 }

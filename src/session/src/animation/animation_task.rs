@@ -5,6 +5,7 @@ use crate::animation::frame_outbox::{AnimationReader, FrameOutbox, PreparedAnima
 use crate::answers::{AnimatedModel, AnimationAnswer, WorkOwner};
 use crate::calls::command::PrepareAnimation;
 use crate::calls::manager::Manager;
+use crate::calls::model_opening::{count_refusal, no_place};
 use crate::capacity::memory_ledger::MemoryReservation;
 use crate::capacity::memory_use::MemoryUse;
 use crate::capacity::work_watch::{CancelOnDrop, WorkKind, WorkSpan, WorkWatch};
@@ -112,9 +113,8 @@ impl AnimationTask {
         let account = self.manager.account(&self.session.tenant)?;
         let reserved = (shared.ledger).reserve(MemoryUse::Sessions, Some(&account), bytes, bytes);
         reserved.map_err(|shortage| {
-            shared.metrics.refused.inc();
             let text = format!("the animation would need {bytes} bytes of memory, and {shortage}");
-            Error::exhausted(text, 5)
+            count_refusal(shared, no_place(text))
         })
     }
 
@@ -400,8 +400,7 @@ fn reserve_frames(
     }
     let reserved = (shared.ledger).reserve(MemoryUse::Sessions, Some(account), bytes, bytes);
     reserved.map_err(|shortage| {
-        shared.metrics.refused.inc();
         let text = format!("the animation as one model would need {bytes} bytes of memory, and {shortage}");
-        Error::exhausted(text, 5)
+        count_refusal(shared, no_place(text))
     })
 }

@@ -7,7 +7,9 @@ use crate::shared::SharedResources;
 pub(crate) async fn note(shared: &SharedResources, entry: AuditEntry) {
     let Some(store) = &shared.store else { return entry.log() };
     // A store that is only read records nothing.
-    let Ok(store) = store.writable() else { return };
+    if !store.is_writable() {
+        return;
+    }
     if let Err(error) = store.audit(entry.clone()).await {
         shared.metrics.store_failures.inc();
         let AuditEntry {

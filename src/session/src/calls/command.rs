@@ -2,7 +2,7 @@
 
 use crate::animation::frame_outbox::FrameOutbox;
 use crate::animation::frame_outbox::PreparedAnimation;
-use crate::answers::{CarriedAlong, CommittedPose, ExportedModel};
+use crate::answers::{CommittedPose, ExportedModel};
 use crate::calls::idempotency::{KeyClaim, RequestFingerprint, answer_of_another_call};
 use crate::capacity::compute_slots::WorkLane;
 use crate::capacity::work_watch::WorkKind;
@@ -94,7 +94,7 @@ session_calls! {
     Edit: SessionEdit => pb::EditResult, kept by StoredAnswer::Edited;
     Recall: RecallPose => Option<CommittedPose>;
     Export: ExportModel => ExportedModel;
-    Carry: CarryOrder => CarriedAlong;
+    Carry: CarryOrder => pb::CarryResponse;
     Animate: PrepareAnimation => PreparedAnimation;
 }
 

@@ -7,14 +7,13 @@ use crate::calls::idempotency::answer_of_another_call;
 use crate::calls::manager::Manager;
 use crate::error::{Error, ErrorCode};
 use crate::keeping::kept_session::state_facts;
-use crate::store::{Commit, ReadSessions};
+use crate::store::{Commit, Store};
 use bytes::Bytes;
 use pliant_asset::FileSet;
 use pliant_core::engine::{Edit, HandleSet};
 use pliant_wire::record::LoggedCommit;
 use pliant_wire::{HandlePatch, PoseCommit, SessionEdit, pb};
 use std::ops::ControlFlow;
-use std::sync::Arc;
 
 impl Manager {
     /// Replaces all handles; one commit. The shape stays as it is until the next pose.
@@ -202,7 +201,7 @@ impl Manager {
             let text = "the call with this idempotency key was carried out, but what it changed is gone since";
             Error::new(ErrorCode::AlreadyExists, text)
         };
-        let stored = store.commit(session.clone(), sequence).await?.ok_or_else(gone)?;
+        let stored = store.commit(&session, sequence).await?.ok_or_else(gone)?;
         match &stored.record {
             LoggedCommit::Edit { report, .. } => Ok(StoredAnswer::Edited(Box::new(pb::EditResult {
                 revision: stored.revision,
@@ -226,16 +225,11 @@ impl Manager {
     }
 
     /// A session as it was after a commit.
-    async fn state_then(
-        &self,
-        store: &Arc<dyn ReadSessions>,
-        stored: &Commit,
-        now: pb::Session,
-    ) -> Result<pb::Session, Error> {
+    async fn state_then(&self, store: &Store, stored: &Commit, now: pb::Session) -> Result<pb::Session, Error> {
         let missing = || Error::new(ErrorCode::DataLoss, "a commit that a later one names is missing");
         let mut parts = Vec::with_capacity(2);
         for sequence in [stored.facts_at, stored.poses_at] {
-            let part = store.commit(now.id.clone(), sequence).await?.ok_or_else(missing)?;
+            let part = store.commit(&now.id, sequence).await?.ok_or_else(missing)?;
             parts.push(part.record);
         }
         Ok(pb::Session {

@@ -13,10 +13,10 @@ use crate::capacity::work_watch::CancelOnDrop;
 use crate::error::{Error, ErrorCode};
 use crate::keeping::kept_session::KeptSession;
 use crate::keeping::kept_session::MemoryState;
-use crate::registry::{OpenAnimations, OpenSession, OpenStreams, SessionView};
+use crate::registry::{OpenAnimations, OpenSession, OpenStreams};
 use crate::shared::SharedResources;
-use crate::store::{Commit, Generation, HeldSession, NewCommit, NewSession, now_ms};
-use crate::task::session_task::SessionTask;
+use crate::store::{Commit, Generation, HeldSession, NewCommit, NewSession, SessionRecord, now_ms};
+use crate::task::session_task::{SessionTask, view_of};
 use pliant_asset::FileSet;
 use pliant_wire::record::{FileReferences, LoggedCommit, RecordedModel};
 use pliant_wire::{SessionOptions, pb};
@@ -72,7 +72,7 @@ pub(crate) async fn create_session(
         graph_bytes: None,
     };
     let opened = open_model(shared, &places, model, arrived, &guard).await?;
-    let owner = SessionOwner {
+    let record = SessionRecord {
         id: new_id()?,
         number: next_number(shared).await?,
         tenant: tenant.clone(),
@@ -85,21 +85,17 @@ pub(crate) async fn create_session(
         tenant: tenant.clone(),
         who: Arc::clone(who),
         what: AuditedAction::Create,
-        session: owner.id.clone(),
+        session: record.id.clone(),
     };
     let kept = match (&shared.store, kept_files) {
         (Some(store), Some(files)) => {
             let key = claim.as_ref().map(KeyClaim::logged);
-            let new = new_session(&owner, files, create, &opened, key, audit);
+            let new = new_session(&record, files, create, &opened, key, audit);
             let kept = KeptSession::new(Arc::clone(store));
-            generation = store
-                .writable()?
-                .create(kept.first_of(new))
-                .await
-                .inspect_err(|error| {
-                    shared.metrics.store_failures.inc();
-                    tracing::error!("a session could not be stored: {error}");
-                })?;
+            generation = store.create(kept.first_of(new)).await.inspect_err(|error| {
+                shared.metrics.store_failures.inc();
+                tracing::error!("a session could not be stored: {error}");
+            })?;
             places.of_tenant.outlive();
             Some(kept)
         }
@@ -108,7 +104,7 @@ pub(crate) async fn create_session(
             None
         }
     };
-    let session = start_session(shared, owner, generation, opened, places, kept);
+    let session = start_session(shared, record, generation, opened, places, kept);
     shared.metrics.sessions_created.inc();
     // An abort that began meanwhile may have missed this session.
     if shared.aborted.is_cancelled() {
@@ -162,21 +158,9 @@ async fn claim_key(
     claim_everywhere(shared, tenant, &key, fingerprint).await.map(Some)
 }
 
-/// Which session it is, whose, and for how long.
-pub(crate) struct SessionOwner {
-    pub id: String,
-    /// Sessions are numbered in the order of their creation.
-    pub number: u64,
-    pub tenant: Tenant,
-    pub label: String,
-    /// When it was opened, in milliseconds since 1970.
-    pub created_ms: u64,
-    pub ttl: Duration,
-}
-
 /// A session as its store keeps it.
 fn new_session(
-    owner: &SessionOwner,
+    record: &SessionRecord,
     files: FileSet,
     options: pb::CreateOptions,
     opened: &OpenedModel,
@@ -185,23 +169,19 @@ fn new_session(
 ) -> NewSession {
     let state = opened.history.current();
     NewSession {
-        id: owner.id.clone(),
-        tenant: owner.tenant.clone(),
-        number: owner.number,
-        created_ms: owner.created_ms,
-        ttl: owner.ttl,
+        record: record.clone(),
         model: RecordedModel {
             files: FileReferences::default(),
             options,
             of_today: true,
-            label: owner.label.clone(),
+            label: record.label.clone(),
             format: opened.deformer.engine.format(),
             graph_bytes: Some(opened.graph_bytes),
         },
         files,
         first: NewCommit {
             session: HeldSession {
-                id: owner.id.clone(),
+                id: record.id.clone(),
                 generation: Generation::default(),
             },
             commit: Commit {
@@ -225,7 +205,7 @@ fn new_session(
 /// Registers a session on an opened model and starts its task.
 pub(crate) fn start_session(
     shared: &Arc<SharedResources>,
-    owner: SessionOwner,
+    record: SessionRecord,
     generation: Generation,
     opened: OpenedModel,
     places: SessionPlaces,
@@ -237,30 +217,20 @@ pub(crate) fn start_session(
         build_ms,
         ..
     } = opened;
-    let state = history.current();
-    let view = SessionView {
-        revision: history.revision(),
-        facts: Arc::clone(&state.facts),
-        handles: Arc::clone(&state.handles),
-        poses: state.poses.clone(),
-        build_ms: build_ms.clone(),
-        positions: deformer.engine.rest_shape().positions,
-        digest: state.digest.clone(),
-        history: history.show(),
-    };
+    let view = view_of(&history, &build_ms);
     let (send, commands) = mpsc::channel(shared.config.session_queue);
     let session = Arc::new(OpenSession {
         held: HeldSession {
-            id: owner.id.clone(),
+            id: record.id.clone(),
             generation,
         },
-        id: owner.id,
-        tenant: owner.tenant,
-        number: owner.number,
-        label: owner.label,
-        created_ms: owner.created_ms,
+        id: record.id,
+        tenant: record.tenant,
+        number: record.number,
+        label: record.label,
+        created_ms: record.created_ms,
         format: deformer.engine.format(),
-        lease: SessionLease::new(owner.ttl),
+        lease: SessionLease::new(record.ttl),
         commands: send,
         streams: OpenStreams::new(&shared.config),
         animations: OpenAnimations::default(),

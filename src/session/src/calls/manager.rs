@@ -6,7 +6,7 @@
 //!
 //! Calls take values that `wire` has read and checked; those that describe a session or an edit answer with its message.
 
-use crate::answers::{CallKey, HistoryFacts, KeyedAnswer, SessionList, Tenant};
+use crate::answers::{CallKey, KeyedAnswer, SessionList, Tenant};
 use crate::audit::audit_entry::{AuditEntry, AuditedAction};
 use crate::audit::audit_trail::note;
 use crate::calls::command::{CallOrigin, KeyedCall, QueuedCall, StoredAnswer, TaskCall};
@@ -28,11 +28,11 @@ use crate::keeping::lease_watch::SessionLocks;
 use crate::keeping::reopen::{claim_session, reopen_session};
 use crate::keeping::sweep::sweep_for_ever;
 use crate::metrics::Metrics;
+use crate::quota::tenant_account::TenantAccount;
 use crate::quota::tenant_account::TenantAccounts;
-use crate::quota::tenant_account::{QuotaReport, TenantAccount};
 use crate::registry::{OpenSession, SessionRegistry};
 use crate::shared::SharedResources;
-use crate::store::{ReadSessions, StoreError, now_ms};
+use crate::store::{Store, StoreError, now_ms};
 use pliant_asset::FileSet;
 use pliant_core::engine::HandleSet;
 use pliant_wire::{SessionOptions, SessionPage, pb};
@@ -78,12 +78,12 @@ impl Manager {
     pub async fn with_store(
         config: SessionConfig,
         opener: impl EngineOpener,
-        store: Arc<dyn ReadSessions>,
+        store: Arc<Store>,
     ) -> Result<Self, Error> {
         let first = store.highest_number().await?.saturating_add(1);
-        let kept_keys = match store.writable() {
-            Ok(store) => store.keys().await?,
-            Err(_) => Vec::new(),
+        let kept_keys = match store.is_writable() {
+            true => store.keys().await?,
+            false => Vec::new(),
         };
         let stored = store.sessions_by_tenant().await?;
         let manager = Self::put_together(config, opener, Some(store), first)?;
@@ -112,11 +112,13 @@ impl Manager {
     fn put_together(
         config: SessionConfig,
         opener: impl EngineOpener,
-        store: Option<Arc<dyn ReadSessions>>,
+        store: Option<Arc<Store>>,
         first_number: u64,
     ) -> Result<Self, Error> {
         config.validate()?;
         let metrics = Arc::new(Metrics::default());
+        let limit = i64::try_from(config.memory_bytes).unwrap_or(i64::MAX);
+        metrics.bytes_limit.set(limit);
         let ledger = MemoryLedger::new(config.memory_bytes, Arc::clone(&metrics));
         let shared = SharedResources {
             compute: ComputeSlots::new(&config, Arc::clone(&metrics))?,
@@ -222,20 +224,15 @@ impl Manager {
         })
     }
 
-    async fn list_stored(
-        &self,
-        store: &Arc<dyn ReadSessions>,
-        tenant: &Tenant,
-        page: SessionPage,
-    ) -> Result<SessionList, Error> {
-        let mut found = store.list(tenant.clone(), page.after, page.size + 1).await?;
+    async fn list_stored(&self, store: &Store, tenant: &Tenant, page: SessionPage) -> Result<SessionList, Error> {
+        let mut found = store.list(tenant, page.after, page.size + 1).await?;
         let more = found.len() > page.size;
         found.truncate(page.size);
         let next_after = found.last().filter(|_| more).map(|(number, _)| *number);
         let mut sessions = Vec::with_capacity(found.len());
         for (_, listed) in found {
             let Some(listed) = listed else { continue };
-            sessions.push(match self.shared.registry.peek(&listed.id) {
+            sessions.push(match self.shared.registry.peek(&listed.record.id) {
                 Some(open) => open.describe(),
                 None => listed_facts(&listed, self.shared.started_ms)?,
             });
@@ -266,7 +263,7 @@ impl Manager {
                     Err(_) => claim_session(&self.shared, store, tenant, id).await?,
                 };
                 let audit = self.audit_entry(tenant, AuditedAction::Delete, id);
-                let deleted = store.writable()?.delete(audit, generation).await;
+                let deleted = store.delete(audit, generation).await;
                 if let (Err(StoreError::Moved), Ok(session)) = (&deleted, &session) {
                     self.shared.drop_ownership(session);
                 }
@@ -290,9 +287,9 @@ impl Manager {
     ///
     /// # Errors
     /// `NOT_FOUND`.
-    pub async fn history(&self, tenant: &Tenant, id: &str) -> Result<HistoryFacts, Error> {
+    pub async fn history(&self, tenant: &Tenant, id: &str) -> Result<pb::HistoryResponse, Error> {
         let view = self.find(tenant, id).await?.view();
-        Ok(HistoryFacts {
+        Ok(pb::HistoryResponse {
             commits: view.history.list.iter().cloned().collect(),
             current: view.history.current,
         })
@@ -460,10 +457,10 @@ impl Manager {
     ///
     /// # Errors
     /// As [`Manager::account`]; `UNAVAILABLE` when the store does not answer.
-    pub async fn quotas_left(&self, tenant: &Tenant) -> Result<QuotaReport, Error> {
+    pub async fn quotas_left(&self, tenant: &Tenant) -> Result<pb::Quotas, Error> {
         let account = self.account(tenant)?;
         let stored = match (&self.shared.store, account.stored_quota()) {
-            (Some(store), Some(_)) => store.stored_bytes(tenant.clone()).await?,
+            (Some(store), Some(_)) => store.stored_bytes(tenant).await?,
             _ => 0,
         };
         Ok(account.report(stored))

@@ -7,7 +7,6 @@ use crate::capacity::memory_ledger::{MemoryReservation, MemoryShortage};
 use crate::capacity::memory_use::MemoryUse;
 use crate::capacity::work_watch::{CancelOnDrop, WorkWatch};
 use crate::capacity::work_watch::{WorkKind, WorkSpan, report_vertices};
-use crate::engine::Engine;
 use crate::error::{Error, ErrorCode};
 use crate::history::commit_history::CommitHistory;
 use crate::history::loaded_deformer::LoadedDeformer;
@@ -21,7 +20,7 @@ use pliant_core::engine::{ESTIMATED_MEMORY, HandleSet, OpenOptions, digest};
 use pliant_exec::Exec;
 use pliant_wire::session_message;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use tokio::sync::OwnedSemaphorePermit;
 use tracing::Span;
 
@@ -84,7 +83,7 @@ pub(crate) async fn open_model(
 
 async fn build_model(
     shared: &Arc<SharedResources>,
-    SessionPlaces { memory, of_tenant, .. }: &SessionPlaces,
+    places: &SessionPlaces,
     ModelToOpen {
         files,
         options,
@@ -93,38 +92,26 @@ async fn build_model(
     arrived: Instant,
     guard: &CancelOnDrop,
 ) -> Result<OpenedModel, OpeningRefusal> {
+    let SessionPlaces { memory, of_tenant, .. } = places;
     let account = of_tenant.account();
     account.check_work()?;
-    let owner = of_tenant.work_owner();
-    let slot = tokio::select! {
-        biased;
-        () = shared.aborted.cancelled() => return Err(Error::draining().into()),
-        slot = shared.compute.slot(WorkLane::Builds, &owner, arrived, shared.config.build) => slot?,
-    };
-    let config = &shared.config;
     let room = memory.room();
     let may_hold = account.memory_quota().unwrap_or(u64::MAX).min(shared.ledger.total());
     let graph_bytes = graph_bytes.unwrap_or(may_hold);
     let limits = engine::DeformerLimits {
         graph_bytes: Some(graph_bytes),
-        ..config.deformer_limits(room)
+        ..shared.config.deformer_limits(room)
     };
-    let flags = vec![Arc::clone(&guard.0), Arc::clone(&shared.abort_flag)];
-    let watch = Arc::new(WorkWatch::since(arrived, flags, config.build).within(Arc::clone(memory), 0));
-    let (inner_watch, inside) = (Arc::clone(&watch), Arc::clone(shared));
-    let begun = Instant::now();
-    let span = WorkSpan::new(WorkKind::Build, "", &Span::current());
-    let built = slot.run(span, move |pool| -> Result<OpenedModel, engine::Error> {
-        pliant_exec::progress::check(&*inner_watch)?;
-        let engine: Box<dyn Engine> = inside
-            .opener
-            .open(files, &options, &limits, &Exec::new(pool, &*inner_watch))?;
-        let build_ms = inner_watch.take_stage_ms();
+    let inside = Arc::clone(shared);
+    let work = move |exec: &Exec<'_>, watch: &WorkWatch| -> Result<OpenedModel, engine::Error> {
+        exec.check()?;
+        let mut engine = inside.opener.open(files, &options, &limits, exec)?;
+        let build_ms = watch.take_stage_ms();
         inside.metrics.observe_stages(&build_ms);
         let rest = engine.rest_shape();
         report_vertices(rest.positions.len());
         let state = EditedState {
-            topology: engine.topology_state(),
+            topology: engine.deformer().map(|deformer| deformer.topology_state()),
             diagonal: engine.diagonal(),
             handles: HandleSet::default(),
             poses: engine.initial_poses(),
@@ -143,22 +130,65 @@ async fn build_model(
             build_ms,
             held,
         })
-    });
-    let built = built.await.map_err(|panicked| {
-        tracing::error!(panic = panicked.0, "opening a model panicked");
-        Error::from(panicked)
-    })?;
+    };
+    let (built, watch) = run_opening(shared, places, WorkKind::Build, arrived, guard, work).await?;
     shared.metrics.build.observe(watch.elapsed().as_secs_f64());
-    account.charge_work(begun.elapsed());
     built.map_err(|error| match error {
-        engine::Error::Cancelled if shared.aborted.is_cancelled() => Error::draining().into(),
-        engine::Error::Cancelled if watch.abandoned() => Error::new(ErrorCode::Cancelled, "the caller gave up").into(),
-        engine::Error::Cancelled => build_took_too_long(watch.limit()).into(),
+        engine::Error::Cancelled => {
+            let limit = watch.limit().as_millis();
+            let late = format!("building the session took longer than the {limit} ms that are allowed");
+            opening_stopped(shared, &watch, late).into()
+        }
         error => match memory_needed(&error, room) {
             Some(needed) => lacks_memory(shared, memory.as_ref(), of_tenant, needed),
             None => Error::from(error).into(),
         },
     })
+}
+
+/// Runs work of a session that is being opened on the compute pool, within the memory of its place; with the watch that stopped it or not.
+///
+/// # Cancel safety
+/// The work stops when `guard` is dropped.
+pub(crate) async fn run_opening<R: Send + 'static>(
+    shared: &Arc<SharedResources>,
+    places: &SessionPlaces,
+    kind: WorkKind,
+    arrived: Instant,
+    guard: &CancelOnDrop,
+    work: impl FnOnce(&Exec<'_>, &WorkWatch) -> R + Send + 'static,
+) -> Result<(R, Arc<WorkWatch>), Error> {
+    let (owner, limit) = (places.of_tenant.work_owner(), shared.config.build);
+    let slot = tokio::select! {
+        biased;
+        () = shared.aborted.cancelled() => return Err(Error::draining()),
+        slot = shared.compute.slot(WorkLane::Builds, &owner, arrived, limit) => slot?,
+    };
+    let flags = vec![Arc::clone(&guard.0), Arc::clone(&shared.abort_flag)];
+    let watch = Arc::new(WorkWatch::since(arrived, flags, limit).within(Arc::clone(&places.memory), 0));
+    let inside = Arc::clone(&watch);
+    let begun = Instant::now();
+    let span = WorkSpan::new(kind, "", &Span::current());
+    let ran = slot
+        .run(span, move |pool| work(&Exec::new(pool, &*inside), &inside))
+        .await;
+    let value = ran.map_err(|panicked| {
+        tracing::error!(panic = panicked.0, "opening a session panicked");
+        Error::from(panicked)
+    })?;
+    places.of_tenant.account().charge_work(begun.elapsed());
+    Ok((value, watch))
+}
+
+/// Why such work was stopped; `late` says it of one that took too long.
+pub(crate) fn opening_stopped(shared: &SharedResources, watch: &WorkWatch, late: String) -> Error {
+    if shared.aborted.is_cancelled() {
+        return Error::draining();
+    }
+    match watch.abandoned() {
+        true => Error::new(ErrorCode::Cancelled, "the caller gave up"),
+        false => Error::new(ErrorCode::DeadlineExceeded, late),
+    }
 }
 
 /// The bytes in all for which an engine that has `room` refuses something; `None` where it refuses for something else.
@@ -197,14 +227,6 @@ fn lacks_memory(
         MemoryShortage::Server { .. } => OpeningRefusal::ServerMemory(no_place(text)),
         MemoryShortage::Tenant { .. } => OpeningRefusal::TenantMemory(no_place_until(shared, text, of_tenant.tenant())),
     }
-}
-
-fn build_took_too_long(limit: Duration) -> Error {
-    let text = format!(
-        "building the session took longer than the {} ms that are allowed",
-        limit.as_millis()
-    );
-    Error::new(ErrorCode::DeadlineExceeded, text)
 }
 
 /// Bytes that a build is expected to need for each uploaded byte, until its real size is known.
@@ -319,7 +341,7 @@ pub(crate) async fn place_of_tenant(
         && store.ownership().is_some()
     {
         // Other nodes open and delete them too.
-        account.recount(store.count_sessions(tenant.clone()).await?);
+        account.recount(store.count_sessions(tenant).await?);
     }
     let place = account.take_session(|| shared.registry.soonest_end(tenant));
     Ok(place.inspect_err(counted)?.with_stored(storing))
@@ -343,7 +365,7 @@ pub(crate) async fn announce_stored(
         return Err(Error::new(ErrorCode::TooLarge, text));
     }
     let settled = account.settled_bytes();
-    let used = store.stored_bytes(account.tenant().clone()).await?;
+    let used = store.stored_bytes(account.tenant()).await?;
     let announced = account.announce_stored(more, used, settled);
     announced.map(Some).ok_or_else(|| {
         let text = format!(

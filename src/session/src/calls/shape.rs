@@ -4,18 +4,18 @@ use crate::animation::AnimationTask;
 use crate::animation::animation_task::RunningAnimation;
 use crate::animation::animation_task::gather_clip;
 use crate::animation::frame_outbox::{AnimationControl, AnimationReader, FrameOutbox, animation_ends};
-use crate::answers::{AnimatedModel, CarriedAlong, ExportedModel, PositionBuffer, Tenant, WorkOwner};
+use crate::answers::{AnimatedModel, ExportedModel, PositionBuffer, Tenant, WorkOwner};
 use crate::audit::audit_entry::AuditedAction;
 use crate::calls::command::ExportModel;
 use crate::calls::manager::Manager;
 use crate::capacity::memory_use::MemoryUse;
 use crate::error::Error;
 use crate::registry::OpenSession;
-use crate::stream::ends::DeformStream;
+use crate::stream::ends::{StreamInput, StreamOutput, stream_ends};
 use crate::stream::mailbox::Mailbox;
 use pliant_asset::Format;
 use pliant_wire::frames::{FrameOutput, f32_bytes};
-use pliant_wire::{AnimateOrder, CarryOrder};
+use pliant_wire::{AnimateOrder, CarryOrder, pb};
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
 use tracing::Instrument;
@@ -54,7 +54,7 @@ impl Manager {
     ///
     /// # Errors
     /// `NOT_FOUND`; what is wrong with the model that is to be carried.
-    pub async fn carry(&self, tenant: &Tenant, id: &str, order: CarryOrder) -> Result<CarriedAlong, Error> {
+    pub async fn carry(&self, tenant: &Tenant, id: &str, order: CarryOrder) -> Result<pb::CarryResponse, Error> {
         let session = self.find(tenant, id).await?;
         let carried = self.call(&session, None, order).await?;
         self.note(tenant, AuditedAction::Carry, id).await;
@@ -73,11 +73,12 @@ impl Manager {
         Ok(PositionBuffer { bytes, etag })
     }
 
-    /// Opens an interactive stream on a session. It starts from the committed poses.
+    /// Opens an interactive stream on a session. It starts from the committed poses. Dropping its output stops its solve within one cycle
+    /// and frees its place.
     ///
     /// # Errors
     /// `NOT_FOUND`, `RESOURCE_EXHAUSTED` when the session has as many streams as allowed, `UNAVAILABLE` while draining.
-    pub async fn stream(&self, tenant: &Tenant, id: &str) -> Result<DeformStream, Error> {
+    pub async fn stream(&self, tenant: &Tenant, id: &str) -> Result<(StreamInput, StreamOutput), Error> {
         let mut session = self.find(tenant, id).await?;
         if self.shared.draining.load(SeqCst) {
             return Err(self.leaving().await);
@@ -112,7 +113,7 @@ impl Manager {
         let inside = self.shared.gate.enter();
         self.note(tenant, AuditedAction::Stream, id).await;
         let held = self.shared.ledger.reserve_later(MemoryUse::Sessions, Some(&account));
-        let stream = DeformStream::new(mailbox, session, metrics, held, inside, place);
+        let stream = stream_ends(mailbox, session, metrics, held, inside, place);
         // A drain that began meanwhile may have missed this stream.
         if self.shared.draining.load(SeqCst) {
             Err(Error::draining())

@@ -5,7 +5,7 @@ use crate::calls::command::StoredAnswer;
 use crate::calls::idempotency::{ClaimOutcome, RequestFingerprint, key_of_another_request};
 use crate::error::Error;
 use crate::shared::SharedResources;
-use crate::store::now_ms;
+use crate::store::{millis, now_ms};
 use std::time::Duration;
 
 /// Claims a key, or gives the answer that is kept for it, here or by another node.
@@ -22,14 +22,15 @@ pub(crate) async fn claim_everywhere(
     let Some(store) = shared.store.as_ref().filter(|store| store.ownership().is_some()) else {
         return Ok(ClaimOutcome::New(claim));
     };
-    let Some(known) = store.writable()?.key(tenant.clone(), key.to_owned()).await? else {
+    let Some(known) = store.key(tenant, key).await? else {
         return Ok(ClaimOutcome::New(claim));
     };
     let now = now_ms();
     if Duration::from_millis(now.saturating_sub(known.at_ms)) >= shared.config.idempotency_age {
-        let age = u64::try_from(shared.config.idempotency_age.as_millis()).unwrap_or(u64::MAX);
-        let before_ms = now.saturating_sub(age).saturating_add(1);
-        store.writable()?.forget_keys(before_ms).await?;
+        let before_ms = now
+            .saturating_sub(millis(shared.config.idempotency_age))
+            .saturating_add(1);
+        store.forget_keys(before_ms).await?;
         return Ok(ClaimOutcome::New(claim));
     }
     if !fingerprint.is(known.fingerprint) {

@@ -4,7 +4,6 @@
 //! snapshots while they fit a budget of bytes; an older one is solved again from its recipe, bit for bit. The history
 //! has no engine and no task: callers pass it solutions.
 
-use crate::answers::CommitFacts;
 use crate::history::session_state::CommitList;
 use crate::history::session_state::{
     CommittedHandles, EditedState, HandleSetId, PosedState, RecordedShapeId, SessionState, ShapeRecipe,
@@ -366,9 +365,9 @@ impl CommitHistory {
                 }),
             }
         }
-        self.shown.push(CommitFacts {
+        self.shown.push(pb::Commit {
             revision: self.revision,
-            kind,
+            kind: kind.into(),
             digest: state.digest.clone(),
         });
         self.records.push_back(CommitRecord {

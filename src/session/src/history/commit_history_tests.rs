@@ -52,7 +52,7 @@ fn handles_keep_the_shape_and_undone_commits_go_when_a_new_one_comes() {
     assert_eq!(history.redo_target(), Some(2));
     pose(&mut history, 2.0);
     let said = history.show();
-    let kinds: Vec<&str> = said.list.iter().map(|c| c.kind).collect();
+    let kinds: Vec<&str> = said.list.iter().map(|c| c.kind.as_str()).collect();
     assert_eq!((kinds, said.current), (vec!["create", "pose", "pose"], 5));
     assert!(history.redo_target().is_none());
 }

@@ -10,12 +10,14 @@ use crate::history::session_state::{
 use crate::stream::frame_window::{FrameContext, ms_of};
 use glam::DVec3;
 use pliant_core::engine::{
-    ESTIMATED_MEMORY, EditCommand, EditOutcome, Error, HandlePoses, HandleSet, ModelShape, Shader, Shading, SolveMode,
+    Deformer, ESTIMATED_MEMORY, EditCommand, Error, HandlePoses, HandleSet, ModelShape, Shader, Shading, SolveMode,
     SolveSettings, SolveUpdate, SolvedShape, TopologyState, digest,
 };
 use pliant_exec::Exec;
 use pliant_wire::frames::Frame;
-use pliant_wire::{DeformOptions, SessionEdit, edit_result, pb, quality_message, session_message, warning_message};
+use pliant_wire::{
+    DeformOptions, SessionEdit, edit_kind_name, edit_result, pb, quality_message, session_message, warning_message,
+};
 use std::sync::Arc;
 
 /// The answer to a pose: its last frame, and what is to be committed where that was asked for.
@@ -48,6 +50,23 @@ impl LoadedDeformer {
         }
     }
 
+    /// The deformer, for something that other engines do not do.
+    pub fn deformer(&mut self, what: &str) -> Result<&mut Deformer, Error> {
+        let unknown = || Error::Unimplemented(what.to_owned());
+        self.engine.deformer().ok_or_else(unknown)
+    }
+
+    /// The state that edits have left the engine in; `None` when it knows no edits.
+    pub fn topology_state(&mut self) -> Option<TopologyState> {
+        self.engine.deformer().map(|deformer| deformer.topology_state())
+    }
+
+    /// Sets the bytes that the engine may hold after the next call.
+    fn limit_memory(&mut self) {
+        let room = self.room;
+        self.engine.deformer().map(|deformer| deformer.limit_memory(room));
+    }
+
     /// What the engine says about model, solver and handles.
     fn facts(&self) -> Box<pb::Session> {
         Box::new(session_message(&self.engine.facts()))
@@ -75,7 +94,7 @@ impl LoadedDeformer {
 
     /// Sets handles. Where they fit, but not beside those in force, these are dropped first.
     fn set_handles(&mut self, handles: &HandleSet, exec: &Exec<'_>) -> Result<(), Error> {
-        let spare = self.engine.spare_bytes();
+        let spare = self.engine.deformer().map_or(0, |deformer| deformer.spare_bytes());
         match self.engine.set_handles(handles, exec) {
             Err(Error::TooLarge { what, seen, limit })
                 if what == ESTIMATED_MEMORY && spare > 0 && seen.saturating_sub(spare) <= limit =>
@@ -90,31 +109,18 @@ impl LoadedDeformer {
     /// Makes `topology` the state that edits have left.
     pub fn go_to_topology(&mut self, topology: Option<&TopologyState>, exec: &Exec<'_>) -> Result<(), Error> {
         let Some(topology) = topology else { return Ok(()) };
-        if self.engine.topology_state().is_some_and(|now| now.is_same(topology)) {
+        let deformer = self.deformer("editing")?;
+        if deformer.topology_state().is_same(topology) {
             return Ok(());
         }
-        self.engine.restore_topology(topology, exec)?;
+        deformer.restore_topology(topology, exec)?;
         self.forget_derived();
         Ok(())
     }
 
-    /// Edits the shape of the state named by `topology` and `handles`, for a commit. Until the commit is stored, `load` with
-    /// the old ones goes back.
-    pub fn edit(
-        &mut self,
-        topology: Option<&TopologyState>,
-        handles: &CommittedHandles,
-        command: &EditCommand<'_>,
-        exec: &Exec<'_>,
-    ) -> Result<EditOutcome, Error> {
-        self.load_state(topology, handles, exec)?;
-        let outcome = self.engine.edit(command, exec)?;
-        self.forget_derived();
-        Ok(outcome)
-    }
-
-    /// Edits the shape of a state, as [`LoadedDeformer::edit`] does, with at most as many bytes held after it as there is room for.
-    /// What does not fit is dropped. `shape` is the state's where it is at hand, and `recipe` how that is made again.
+    /// Edits the shape of a state, for a commit, with at most as many bytes held after it as there is room for. What does not fit is
+    /// dropped. `shape` is the state's where it is at hand, and `recipe` how that is made again. Until the commit is stored,
+    /// `load_state` with the old one goes back.
     pub fn edit_state(
         &mut self,
         state: &SessionState,
@@ -124,10 +130,10 @@ impl LoadedDeformer {
         exec: &Exec<'_>,
     ) -> Result<(EditedState, ModelShape, pb::EditResult), Error> {
         self.load_state(state.topology.as_ref(), &state.handles, exec)?;
-        self.engine.limit_memory(self.room);
+        self.limit_memory();
         // What is known of a shape beside its vertices depends on its recipe alone, never on what the engine happens to remember.
         let shape = match shape {
-            Some(shape) if self.engine.remembers(shape.id) => shape,
+            Some(shape) if self.engine.deformer().is_some_and(|d| d.remembers(shape.id)) => shape,
             _ => self.solve_recipe(recipe, exec)?,
         };
         let settings = match recipe {
@@ -141,14 +147,17 @@ impl LoadedDeformer {
             poses: &state.poses,
             settings,
         };
-        let outcome = self.edit(state.topology.as_ref(), &state.handles, &command, exec)?;
+        self.load_state(state.topology.as_ref(), &state.handles, exec)?;
+        let what = format!("the edit {}", edit_kind_name(edit.edit.kind()));
+        let outcome = self.deformer(&what)?.edit(&command, exec)?;
+        self.forget_derived();
         if let Err(refused) = self.check_memory(exec) {
             self.go_to_topology(state.topology.as_ref(), exec)?;
             self.release_memory();
             return Err(refused);
         }
         let edited = EditedState {
-            topology: self.engine.topology_state(),
+            topology: self.topology_state(),
             diagonal: self.engine.diagonal(),
             handles: outcome.handles,
             poses: outcome.poses,
@@ -172,7 +181,7 @@ impl LoadedDeformer {
 
     /// Drops the handles and all that can be rebuilt: the next work loads its own.
     fn release_memory(&mut self) {
-        self.engine.release_memory();
+        self.engine.deformer().map(Deformer::release_memory);
         self.forget_derived();
     }
 
@@ -199,7 +208,7 @@ impl LoadedDeformer {
         exec: &Exec<'_>,
     ) -> Result<(HandlePoses, Box<pb::Session>), Error> {
         self.go_to_topology(topology, exec)?;
-        self.engine.limit_memory(self.room);
+        self.limit_memory();
         self.set_handles(handles, exec)?;
         self.loaded = None;
         if let Err(refused) = self.check_memory(exec) {
@@ -228,14 +237,18 @@ impl LoadedDeformer {
         let solved = self.solve(&poses, &options.solve, SolveMode::Commit, exec, &mut |_| true)?;
         let solve_time = work.watch.elapsed();
         let mut frame = self.last_frame(seq, options, frames, &solved);
-        let quality = (self.engine).measure(&solved.positions, options.output.self_intersections, exec)?;
-        frame.header.quality = quality.as_ref().map(quality_message);
+        let mut warnings = Vec::new();
+        if let Some(deformer) = self.engine.deformer() {
+            let quality = deformer.measure(&solved.positions, options.output.self_intersections, exec)?;
+            frame.header.quality = Some(quality_message(&quality));
+            warnings = deformer.pose_warnings(&poses).iter().map(warning_message).collect();
+        }
         frame.header.solve_ms = ms_of(solve_time);
         Ok(PoseAnswer {
             frame,
             cycles: solved.cycles,
             commit: Some(PosedState {
-                warnings: self.engine.pose_warnings(&poses).iter().map(warning_message).collect(),
+                warnings,
                 poses,
                 settings: options.solve.clone(),
                 digest: digest(&solved.positions),

@@ -3,7 +3,6 @@
 //! The list of commits, in shared pieces: each change of the session publishes its history, and must not copy ten
 //! thousand commits for one.
 
-use crate::answers::CommitFacts;
 use pliant_core::engine::{HandlePoses, HandleSet, ModelShape, SolveSettings, TopologyState};
 use pliant_wire::pb;
 use std::collections::VecDeque;
@@ -106,7 +105,7 @@ const PIECE: usize = 128;
 /// A list that grows and shrinks at its end and loses its beginning. A clone shares all pieces; a change copies one at most.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct CommitList {
-    pieces: VecDeque<Arc<Vec<CommitFacts>>>,
+    pieces: VecDeque<Arc<Vec<pb::Commit>>>,
     /// How many of the first piece are gone.
     gone: usize,
     length: usize,
@@ -114,11 +113,11 @@ pub(crate) struct CommitList {
 
 impl CommitList {
     /// The commits, oldest first.
-    pub fn iter(&self) -> impl Iterator<Item = &CommitFacts> {
+    pub fn iter(&self) -> impl Iterator<Item = &pb::Commit> {
         self.pieces.iter().flat_map(|piece| piece.iter()).skip(self.gone)
     }
 
-    pub(super) fn push(&mut self, commit: CommitFacts) {
+    pub(super) fn push(&mut self, commit: pb::Commit) {
         match self.pieces.back_mut().filter(|piece| piece.len() < PIECE) {
             Some(piece) => Arc::make_mut(piece).push(commit),
             None => self.pieces.push_back(Arc::new(vec![commit])),
@@ -169,10 +168,10 @@ mod commit_list_tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn commit(revision: u64) -> CommitFacts {
-        CommitFacts {
+    fn commit(revision: u64) -> pb::Commit {
+        pb::Commit {
             revision,
-            kind: "pose",
+            kind: "pose".into(),
             digest: revision.to_string(),
         }
     }
@@ -181,7 +180,7 @@ mod commit_list_tests {
         /// Against a plain list.
         #[test]
         fn it_is_a_list(steps in prop::collection::vec((0u8..4, 1usize..400), 0..40)) {
-            let (mut list, mut plain) = (CommitList::default(), VecDeque::<CommitFacts>::new());
+            let (mut list, mut plain) = (CommitList::default(), VecDeque::<pb::Commit>::new());
             let mut revision = 0;
             for (kind, count) in steps {
                 match kind {

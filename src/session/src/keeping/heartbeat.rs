@@ -5,7 +5,7 @@
 //! that others have taken.
 
 use crate::shared::SharedResources;
-use crate::store::{NodeLoad, SessionOwnership, StoreError};
+use crate::store::{NodeLoad, SharedStore, StoreError};
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
@@ -73,7 +73,7 @@ pub(crate) fn load_of(shared: &SharedResources) -> NodeLoad {
 }
 
 /// Ends sessions here that other nodes have by now.
-async fn let_go_of_lost(shared: &SharedResources, ownership: &dyn SessionOwnership) -> Result<(), StoreError> {
+async fn let_go_of_lost(shared: &SharedResources, ownership: &SharedStore) -> Result<(), StoreError> {
     // Those in memory first: what is opened meanwhile is this node's.
     let here = shared.registry.all();
     let held = ownership.held().await?;

@@ -1,11 +1,10 @@
 //! A session that is kept: what its task knows of the log, how it is listed from the store alone, and how much of it is in memory.
 
-use crate::store::{ListedSession, NewSession, ReadSessions, StoreError, calendar_text};
+use crate::store::{ListedSession, NewSession, Store, StoreError, calendar_text, millis};
 use pliant_wire::record::LoggedCommit;
 use pliant_wire::{handle_poses_message, pb};
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// Where the parts of a state are in the log: the numbers of the commits that brought them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -18,7 +17,7 @@ pub(crate) struct CommitPlace {
 /// What a session's task knows of its log.
 #[derive(Debug)]
 pub(crate) struct KeptSession {
-    pub store: Arc<dyn ReadSessions>,
+    pub store: Arc<Store>,
     /// Build and processor of this process.
     pub build: String,
     /// Number of the newest commit.
@@ -33,7 +32,7 @@ pub(crate) struct KeptSession {
 
 impl KeptSession {
     /// The log of a session that was just created.
-    pub fn new(store: Arc<dyn ReadSessions>) -> Self {
+    pub fn new(store: Arc<Store>) -> Self {
         Self {
             build: store.build(),
             store,
@@ -81,15 +80,15 @@ impl KeptSession {
 
 /// A session that is not in memory, as its owner sees it on a server that began at `started_ms`.
 pub(crate) fn listed_facts(session: &ListedSession, started_ms: u64) -> Result<pb::Session, StoreError> {
-    let ttl = u64::try_from(session.ttl.as_millis()).unwrap_or(u64::MAX);
-    let end = Duration::from_millis(session.used_ms.max(started_ms).saturating_add(ttl));
-    let end = UNIX_EPOCH.checked_add(end).unwrap_or(SystemTime::UNIX_EPOCH);
+    let record = &session.record;
+    let ttl = millis(record.ttl);
+    let end = session.used_ms.max(started_ms).saturating_add(ttl);
     Ok(pb::Session {
-        id: session.id.clone(),
+        id: record.id.clone(),
         revision: session.newest.revision,
-        created_at: calendar_text(session.created_ms),
-        expires_at: humantime::format_rfc3339_millis(end).to_string(),
-        label: session.label.clone(),
+        created_at: calendar_text(record.created_ms),
+        expires_at: calendar_text(end),
+        label: record.label.clone(),
         ..state_facts(&session.facts, &session.poses)?
     })
 }

@@ -1,12 +1,12 @@
 //! A session that is not in memory comes back from its store.
 
 use crate::answers::Tenant;
-use crate::calls::create::{SessionOwner, start_session};
-use crate::calls::model_opening::{ModelToOpen, OpenedModel, open_model};
-use crate::calls::model_opening::{OpeningRefusal, SessionPlaces, count_refusal, no_place};
-use crate::capacity::compute_slots::WorkLane;
-use crate::capacity::work_watch::{CancelOnDrop, WorkWatch};
-use crate::capacity::work_watch::{WorkKind, WorkSpan};
+use crate::calls::create::start_session;
+use crate::calls::model_opening::{
+    ModelToOpen, OpenedModel, OpeningRefusal, SessionPlaces, count_refusal, no_place, open_model, opening_stopped,
+    run_opening,
+};
+use crate::capacity::work_watch::{CancelOnDrop, WorkKind, WorkWatch};
 use crate::error::{Error, ErrorCode};
 use crate::keeping::kept_session::KeptSession;
 use crate::keeping::replay::{Replay, ReplayError, ReplayedLog};
@@ -14,7 +14,7 @@ use crate::keeping::sweep::evict_idle;
 use crate::registry::OpenSession;
 use crate::shared::SharedResources;
 use crate::store::{
-    Generation, HeldSession, ReadSessions, SessionClaim, StoreError, StoredSession, now_ms, read_shape,
+    Generation, HeldSession, SessionClaim, Store, StoreError, StoredSession, millis, now_ms, read_shape,
 };
 use pliant_asset::FileSet;
 use pliant_core::engine;
@@ -24,7 +24,6 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
 use std::time::{Duration, Instant};
-use tracing::Span;
 
 /// How long a node that is about to stop may take to give a session back.
 const GIVEN_BACK_WITHIN: Duration = Duration::from_secs(3);
@@ -38,14 +37,14 @@ const BETWEEN_LOOKS: Duration = Duration::from_millis(25);
 /// opening any session.
 pub(crate) async fn reopen_session(
     shared: &Arc<SharedResources>,
-    store: &Arc<dyn ReadSessions>,
+    store: &Arc<Store>,
     tenant: &Tenant,
     id: &str,
 ) -> Result<Arc<OpenSession>, Error> {
     if shared.draining.load(SeqCst) {
         return Err(Error::draining());
     }
-    if store.ownership().is_none() && !store.holds(tenant.clone(), id.to_owned()).await? {
+    if store.ownership().is_none() && !store.holds(tenant, id).await? {
         return Err(Error::no_session(id));
     }
     let lock = shared.locks.lock(id).await;
@@ -69,19 +68,19 @@ pub(crate) async fn reopen_session(
 /// `NOT_FOUND`; `UNAVAILABLE` with the node that has it, or when the store does not answer.
 pub(crate) async fn claim_session(
     shared: &SharedResources,
-    store: &Arc<dyn ReadSessions>,
+    store: &Store,
     tenant: &Tenant,
     id: &str,
 ) -> Result<Generation, Error> {
     let Some(ownership) = store.ownership() else {
-        return match store.holds(tenant.clone(), id.to_owned()).await? {
+        return match store.holds(tenant, id).await? {
             true => Ok(Generation::default()),
             false => Err(Error::no_session(id)),
         };
     };
     let until = Instant::now() + GIVEN_BACK_WITHIN;
     loop {
-        match ownership.claim(tenant.clone(), id.to_owned()).await? {
+        match ownership.claim(tenant, id).await? {
             SessionClaim::Here(generation) => return Ok(generation),
             SessionClaim::Missing => return Err(Error::no_session(id)),
             SessionClaim::Elsewhere { is_leaving: true, .. } if Instant::now() < until => {
@@ -96,13 +95,13 @@ pub(crate) async fn claim_session(
 }
 
 /// Gives back a session that this node does not need.
-pub(crate) async fn give_back(store: &Arc<dyn ReadSessions>, id: &str, generation: Generation) {
+pub(crate) async fn give_back(store: &Store, id: &str, generation: Generation) {
     let session = HeldSession {
         id: id.to_owned(),
         generation,
     };
     if let Some(ownership) = store.ownership()
-        && let Err(error) = ownership.release(session, 0).await
+        && let Err(error) = ownership.release(&session, 0).await
     {
         tracing::warn!(session.id = %id, "a session stays this node's: {error}");
     }
@@ -111,17 +110,17 @@ pub(crate) async fn give_back(store: &Arc<dyn ReadSessions>, id: &str, generatio
 /// Opens a stored session that is this node's.
 async fn open_claimed(
     shared: &Arc<SharedResources>,
-    store: &Arc<dyn ReadSessions>,
+    store: &Arc<Store>,
     tenant: &Tenant,
     id: &str,
     generation: Generation,
 ) -> Result<Arc<OpenSession>, Error> {
-    let stored = store.load(tenant.clone(), id.to_owned()).await.inspect_err(|error| {
+    let stored = store.load(tenant, id).await.inspect_err(|error| {
         tracing::error!(session.id = %id, "a stored session cannot be read: {error}");
     })?;
     let stored = stored.ok_or_else(|| Error::no_session(id))?;
-    let ttl_ms = u64::try_from(stored.ttl.as_millis()).unwrap_or(u64::MAX);
-    if stored.used_ms.max(shared.started_ms).saturating_add(ttl_ms) < now_ms() {
+    let last_use = stored.used_ms.max(shared.started_ms);
+    if last_use.saturating_add(millis(stored.record.ttl)) < now_ms() {
         return Err(Error::no_session(id));
     }
     open_stored(shared, store, stored, generation)
@@ -133,21 +132,13 @@ async fn open_claimed(
 
 async fn open_stored(
     shared: &Arc<SharedResources>,
-    store: &Arc<dyn ReadSessions>,
+    store: &Arc<Store>,
     stored: StoredSession,
     generation: Generation,
 ) -> Result<Arc<OpenSession>, Error> {
     let files = read_files(store, &stored.model.files).await?;
-    let owner = SessionOwner {
-        id: stored.id.clone(),
-        number: stored.number,
-        tenant: stored.tenant.clone(),
-        label: stored.model.label.clone(),
-        created_ms: stored.created_ms,
-        ttl: stored.ttl,
-    };
     let arrived = Instant::now();
-    let of_tenant = shared.accounts.of(&stored.tenant)?.place_again();
+    let of_tenant = shared.accounts.of(&stored.record.tenant)?.place_again();
     let places = SessionPlaces::reserve(shared, of_tenant, files.total_bytes()).await?;
     let guard = CancelOnDrop::default();
     let model = ModelToOpen {
@@ -176,38 +167,33 @@ async fn open_stored(
     let _ = places.memory.resize(opened.held);
     if !rerecorded.is_empty() {
         tracing::warn!(
-            session.id = %owner.id,
+            session.id = %stored.record.id,
             "{} commits of another build or processor were made again and recorded with this one's digests",
             rerecorded.len()
         );
         let session = HeldSession {
-            id: owner.id.clone(),
+            id: stored.record.id.clone(),
             generation,
         };
-        if let Ok(store) = store.writable() {
-            store.rerecord_digests(session, kept.build.clone(), rerecorded).await?;
+        if store.is_writable() {
+            store.rerecord_digests(session, &kept.build, rerecorded).await?;
         }
     }
-    let session = start_session(shared, owner, generation, opened, places, Some(kept));
+    let session = start_session(shared, stored.record, generation, opened, places, Some(kept));
     shared.metrics.sessions_reopened.inc();
     tracing::info!(session.id = %session.id, "session came back from the store");
     Ok(session)
 }
 
-async fn read_files(store: &Arc<dyn ReadSessions>, names: &FileReferences) -> Result<FileSet, StoreError> {
-    let mut files = FileSet::single(names.name.clone(), store.object(names.main.clone()).await?);
+async fn read_files(store: &Store, names: &FileReferences) -> Result<FileSet, StoreError> {
+    let mut files = FileSet::single(names.name.clone(), store.object(&names.main).await?);
     for (uri, object) in &names.companions {
-        files
-            .companions
-            .insert(uri.clone(), store.object(object.clone()).await?);
+        files.companions.insert(uri.clone(), store.object(object).await?);
     }
     Ok(files)
 }
 
-async fn read_merged(
-    store: &Arc<dyn ReadSessions>,
-    stored: &StoredSession,
-) -> Result<BTreeMap<u64, FileSet>, StoreError> {
+async fn read_merged(store: &Store, stored: &StoredSession) -> Result<BTreeMap<u64, FileSet>, StoreError> {
     let mut merged = BTreeMap::new();
     for commit in &stored.commits {
         if let LoggedCommit::Edit { files: Some(names), .. } = &commit.record {
@@ -218,18 +204,18 @@ async fn read_merged(
 }
 
 /// The newest kept shape. It only saves solving: one that is damaged is solved again, and compared with its digest.
-async fn read_snapshot(store: &Arc<dyn ReadSessions>, stored: &StoredSession) -> Option<(u64, Arc<Vec<glam::DVec3>>)> {
+async fn read_snapshot(store: &Store, stored: &StoredSession) -> Option<(u64, Arc<Vec<glam::DVec3>>)> {
     let snapshot = stored.snapshot.as_ref()?;
-    let read = match store.object(snapshot.object.clone()).await {
+    let read = match store.object(&snapshot.object).await {
         Ok(bytes) => read_shape(&bytes),
         Err(error) => Err(error),
     };
     let positions = read
-        .inspect_err(|error| tracing::warn!(session.id = %stored.id, "a kept shape is not used: {error}"))
+        .inspect_err(|error| tracing::warn!(session.id = %stored.record.id, "a kept shape is not used: {error}"))
         .ok()?;
     let commit = stored.commits.iter().find(|c| c.sequence == snapshot.sequence)?;
     if engine::digest(&positions) != commit.digest {
-        tracing::warn!(session.id = %stored.id, "a kept shape is not used: it is not that of its commit");
+        tracing::warn!(session.id = %stored.record.id, "a kept shape is not used: it is not that of its commit");
         return None;
     }
     Some((snapshot.sequence, Arc::new(positions)))
@@ -240,80 +226,44 @@ type Replayed = (OpenedModel, KeptSession, Vec<(u64, String)>);
 /// Replays the log on the compute pool.
 async fn replay_log(
     shared: &Arc<SharedResources>,
-    store: &Arc<dyn ReadSessions>,
+    store: &Arc<Store>,
     opened: OpenedModel,
     log: Arc<ReplayedLog>,
-    SessionPlaces { memory, of_tenant, .. }: &SessionPlaces,
+    places: &SessionPlaces,
     guard: &CancelOnDrop,
 ) -> Result<Replayed, OpeningRefusal> {
-    let arrived = Instant::now();
-    let owner = of_tenant.work_owner();
-    let slot = tokio::select! {
-        biased;
-        () = shared.aborted.cancelled() => return Err(Error::draining().into()),
-        slot = shared.compute.slot(WorkLane::Builds, &owner, arrived, shared.config.build) => slot?,
-    };
-    let (limit, room) = (shared.config.history, memory.room());
-    let flags = vec![Arc::clone(&guard.0), Arc::clone(&shared.abort_flag)];
-    let watch = Arc::new(WorkWatch::since(arrived, flags, shared.config.build).within(Arc::clone(memory), 0));
-    let inner_watch = Arc::clone(&watch);
+    let (limit, room) = (shared.config.history, places.memory.room());
     let mut kept = KeptSession::new(Arc::clone(store));
     kept.shape_at = log.snapshot.as_ref().map_or(0, |(sequence, _)| *sequence);
-    let begun = Instant::now();
-    let span = WorkSpan::new(WorkKind::Replay, "", &Span::current());
-    let done = slot.run(span, move |pool| -> Result<Replayed, ReplayError> {
-        let OpenedModel {
-            graph_bytes,
-            mut deformer,
-            mut history,
-            build_ms,
-            ..
-        } = opened;
+    let work = move |exec: &Exec<'_>, _: &WorkWatch| -> Result<Replayed, ReplayError> {
+        let mut opened = opened;
         let mut replay = Replay {
-            deformer: &mut deformer,
-            history: &mut history,
+            deformer: &mut opened.deformer,
+            history: &mut opened.history,
             kept: &mut kept,
             room,
-            exec: &Exec::new(pool, &*inner_watch),
+            exec,
             rerecorded: Vec::new(),
         };
         replay.follow(&log, limit)?;
         let rerecorded = std::mem::take(&mut replay.rerecorded);
-        let held = deformer.byte_size().saturating_add(history.byte_size());
-        let opened = OpenedModel {
-            graph_bytes,
-            deformer,
-            history,
-            build_ms,
-            held,
-        };
+        opened.held = (opened.deformer.byte_size()).saturating_add(opened.history.byte_size());
         Ok((opened, kept, rerecorded))
-    });
-    let done = done.await.map_err(|panicked| {
-        tracing::error!(panic = panicked.0, "following a stored session panicked");
-        Error::from(panicked)
-    })?;
-    of_tenant.account().charge_work(begun.elapsed());
-    let error = match done {
-        Ok(replayed) => return Ok(replayed),
-        Err(error) => error,
     };
-    let refused = match error {
+    let (done, watch) = run_opening(shared, places, WorkKind::Replay, Instant::now(), guard, work).await?;
+    let refused = match done {
+        Ok(replayed) => return Ok(replayed),
         // Nothing is wrong with it: the limits are lower than they were, or others hold the memory.
-        ReplayError::Engine(error @ engine::Error::TooLarge { .. }) => {
+        Err(ReplayError::Engine(error @ engine::Error::TooLarge { .. })) => {
             let text = format!("the stored session does not fit the limits of this server at present: {error}");
             return Err(OpeningRefusal::ServerMemory(no_place(text)));
         }
-        ReplayError::Store(error) => error.into(),
-        ReplayError::Engine(engine::Error::Cancelled) if shared.aborted.is_cancelled() => Error::draining(),
-        ReplayError::Engine(engine::Error::Cancelled) if watch.abandoned() => {
-            Error::new(ErrorCode::Cancelled, "the caller gave up")
+        Err(ReplayError::Store(error)) => error.into(),
+        Err(ReplayError::Engine(engine::Error::Cancelled)) => {
+            let late = "opening the stored session took longer than allowed";
+            opening_stopped(shared, &watch, late.into())
         }
-        ReplayError::Engine(engine::Error::Cancelled) => Error::new(
-            ErrorCode::DeadlineExceeded,
-            "opening the stored session took longer than allowed",
-        ),
-        ReplayError::Engine(error) => {
+        Err(ReplayError::Engine(error)) => {
             let text = format!("what is stored of the session cannot be followed and is not served: {error}");
             Error::new(ErrorCode::DataLoss, text)
         }

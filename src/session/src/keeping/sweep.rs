@@ -6,7 +6,7 @@ use crate::audit::audit_entry::{AuditEntry, AuditedAction};
 use crate::registry::DepartingSessions;
 use crate::registry::OpenSession;
 use crate::shared::SharedResources;
-use crate::store::{Generation, HeldSession, KeepSessions, StoreError, UsedSession, now_ms};
+use crate::store::{Generation, HeldSession, Store, StoreError, UsedSession, ms_ago, now_ms};
 use futures::StreamExt as _;
 use futures::stream::FuturesUnordered;
 use std::collections::BTreeMap;
@@ -32,7 +32,7 @@ pub(crate) async fn sweep_for_ever(shared: Weak<SharedResources>) {
     loop {
         tokio::time::sleep(PERIOD).await;
         let Some(shared) = shared.upgrade() else { return };
-        let Some(Ok(store)) = shared.store.as_ref().map(|store| store.writable()) else {
+        let Some(store) = shared.store.as_ref().filter(|store| store.is_writable()) else {
             return;
         };
         if shared.aborted.is_cancelled() {
@@ -50,7 +50,7 @@ pub(crate) async fn sweep_for_ever(shared: Weak<SharedResources>) {
 
 async fn sweep(
     shared: &SharedResources,
-    store: &dyn KeepSessions,
+    store: &Store,
     noted: &mut BTreeMap<String, u64>,
     round: u32,
 ) -> Result<(), StoreError> {
@@ -73,10 +73,7 @@ async fn sweep(
         }
         let generation = match others {
             None => Generation::default(),
-            Some(others) => match others
-                .claim_expired(tenant.clone(), id.clone(), since_ms, until_ms)
-                .await?
-            {
+            Some(others) => match others.claim_expired(&tenant, &id, since_ms, until_ms).await? {
                 Some(generation) => generation,
                 None => continue,
             },
@@ -90,8 +87,7 @@ async fn sweep(
         tracing::info!(session.id = %id, "stored session expired");
     }
     if round.is_multiple_of(KEYS_EVERY) {
-        let age = u64::try_from(shared.config.idempotency_age.as_millis()).unwrap_or(u64::MAX);
-        store.forget_keys(now_ms().saturating_sub(age)).await?;
+        store.forget_keys(ms_ago(shared.config.idempotency_age)).await?;
         forget_audit(shared, store).await?;
     }
     if let Some(others) = others.filter(|_| is_turn) {
@@ -101,11 +97,13 @@ async fn sweep(
 }
 
 /// Forgets what was noted of tenants longer ago than is kept of them.
-async fn forget_audit(shared: &SharedResources, store: &dyn KeepSessions) -> Result<(), StoreError> {
+async fn forget_audit(shared: &SharedResources, store: &Store) -> Result<(), StoreError> {
     for tenant in store.audited_tenants().await? {
         let kept = shared.config.quotas.of(&tenant).audit_age.unwrap_or(AUDIT_AGE);
         let kept_ms = u64::try_from(kept.as_millis()).unwrap_or(u64::MAX);
-        store.forget_audit_of(tenant, now_ms().saturating_sub(kept_ms)).await?;
+        store
+            .forget_audit(Some(tenant), now_ms().saturating_sub(kept_ms))
+            .await?;
     }
     Ok(())
 }
@@ -113,14 +111,11 @@ async fn forget_audit(shared: &SharedResources, store: &dyn KeepSessions) -> Res
 /// Notes when the sessions in memory were used last, where that has changed.
 pub(crate) async fn note_uses(
     shared: &SharedResources,
-    store: &dyn KeepSessions,
+    store: &Store,
     noted: &mut BTreeMap<String, u64>,
 ) -> Result<(), StoreError> {
-    let now = now_ms();
-    let uses = shared.registry.all().into_iter().map(|session| {
-        let ago = u64::try_from(session.lease.last_use().elapsed().as_millis()).unwrap_or(u64::MAX);
-        (session.held.clone(), now.saturating_sub(ago))
-    });
+    let sessions = shared.registry.all().into_iter();
+    let uses = sessions.map(|session| (session.held.clone(), ms_ago(session.lease.last_use().elapsed())));
     let held: Vec<(HeldSession, u64)> = uses.collect();
     let uses: BTreeMap<String, u64> = held.iter().map(|(held, at)| (held.id.clone(), *at)).collect();
     let changed = |(held, at): &(HeldSession, u64)| noted.get(&held.id).is_none_or(|before| *at > before + 500);

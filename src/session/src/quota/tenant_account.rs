@@ -6,6 +6,7 @@ use crate::answers::{Tenant, WorkOwner};
 use crate::error::{Error, ErrorCode};
 use crate::quota::tenant_quota::TokenBucket;
 use crate::quota::tenant_quota::{TenantQuota, TenantQuotas};
+use pliant_wire::pb;
 use prometheus_client::metrics::counter::Counter;
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicU64;
@@ -30,32 +31,6 @@ pub struct TenantAccount {
     work: Option<TokenBucket>,
     /// Calls that exceeded the capacity, of all tenants.
     refused: Counter,
-}
-
-/// A quota as its tenant sees it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct QuotaUse {
-    /// What is allowed.
-    pub allowed: f64,
-    /// What of it is left.
-    pub left: f64,
-}
-
-/// The quotas of a tenant; absent where it has none.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct QuotaReport {
-    /// Sessions held at a time.
-    pub sessions: Option<QuotaUse>,
-    /// Bytes of its sessions and answers in memory.
-    pub memory_bytes: Option<QuotaUse>,
-    /// Bytes of its sessions in the store.
-    pub stored_bytes: Option<QuotaUse>,
-    /// Bytes of models and clips sent in a minute.
-    pub upload_bytes_per_minute: Option<QuotaUse>,
-    /// Seconds of computing in a minute.
-    pub solve_seconds_per_minute: Option<QuotaUse>,
-    /// Streams open at a time.
-    pub streams: Option<QuotaUse>,
 }
 
 impl TenantAccount {
@@ -87,21 +62,21 @@ impl TenantAccount {
     }
 
     /// The quotas of the tenant, with `stored` bytes in the store.
-    pub fn report(&self, stored: u64) -> QuotaReport {
+    pub fn report(&self, stored: u64) -> pb::Quotas {
         let now = Instant::now();
         let count = |allowed: Option<u64>, used: &AtomicU64| {
-            allowed.map(|allowed| QuotaUse {
+            allowed.map(|allowed| pb::QuotaState {
                 allowed: allowed as f64,
                 left: allowed.saturating_sub(used.load(Relaxed)) as f64,
             })
         };
         let rate = |bucket: &Option<TokenBucket>| {
-            bucket.as_ref().map(|bucket| QuotaUse {
+            bucket.as_ref().map(|bucket| pb::QuotaState {
                 allowed: bucket.a_minute(),
                 left: bucket.left(now).max(0.0),
             })
         };
-        QuotaReport {
+        pb::Quotas {
             sessions: count(self.quota.sessions, &self.sessions),
             memory_bytes: count(self.quota.memory_bytes, &self.resident),
             stored_bytes: count(self.quota.stored_bytes, &AtomicU64::new(stored)),

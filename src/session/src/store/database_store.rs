@@ -1,54 +1,150 @@
-//! The store on a database and a folder of objects.
+//! The store on a database and a folder of objects: what is written, and what it does itself. What is read is in `reading`.
 
 use super::location::FolderHold;
-use super::objects::Objects;
-use super::objects::{NAMED_WITHIN, announce};
-use super::reading;
-use super::session_store::{
-    Commit, Generation, HeldSession, KeepSessions, ListedSession, LoggedKey, NewCommit, NewSession, ReadSessions,
-    SessionOwnership, StoreError, Stored, StoredFacts, StoredSession, UsedSession,
-};
+use super::objects::{NAMED_WITHIN, Objects, is_used, note_loose};
+use super::schema::{Dialect, commit_checksum};
+use super::session_store::{Generation, HeldSession, NewCommit, NewSession, StoreError, UsedSession};
 use super::shared_store::SharedStore;
 use super::write_order::{StoredObject, WriteOrder, first_generation};
 use super::writer::{StoreHealth, Writer};
 use crate::answers::Tenant;
 use crate::audit::audit_entry::AuditEntry;
 use bytes::Bytes;
+use futures::future::BoxFuture;
 use pliant_asset::FileSet;
 use pliant_wire::record::{FileReferences, LoggedCommit};
 use sqlx::AnyPool;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Sessions in a database, what is large as objects.
+/// Sessions in a database, what is large as objects. What returns `Ok` from a write is on disk; what returns an error has changed nothing
+/// that is ever read again.
 #[derive(Debug)]
-pub struct DatabaseStore {
+pub struct Store {
     pub(super) build: String,
     pub(super) pool: AnyPool,
-    pub(super) writer: Arc<Writer>,
+    pub(super) dialect: Dialect,
     pub(super) objects: Arc<Objects>,
-    pub(super) health: Arc<StoreHealth>,
-    /// What this node knows of it, where several share the store.
-    pub(super) shared: Option<SharedStore>,
+    /// How it is written; `None` where it is only read.
+    pub(super) writing: Option<StoreWriting>,
+    /// Whether another process may be writing it.
+    pub(super) is_written: bool,
+    /// The folder of a database that is a file.
+    pub(super) folder: Option<PathBuf>,
     /// Held as long as the store: one process writes a folder.
     pub(super) _hold: Option<FolderHold>,
+    pub(super) faults: Option<Arc<dyn StoreFaults>>,
 }
 
-impl DatabaseStore {
+/// What writes a store.
+#[derive(Debug)]
+pub(super) struct StoreWriting {
+    pub writer: Arc<Writer>,
+    pub health: Arc<StoreHealth>,
+    /// What this node knows of it, where several share the store.
+    pub shared: Option<SharedStore>,
+}
+
+/// Lets tests make a store fail, or wait.
+pub trait StoreFaults: Send + Sync + std::fmt::Debug + 'static {
+    /// Is asked before each call that a session waits for, sweeps not among them.
+    fn pass(&self) -> BoxFuture<'_, Result<(), StoreError>>;
+}
+
+impl Store {
+    /// The same store, with `faults` before its calls.
+    #[must_use]
+    pub fn with_faults(self, faults: Arc<dyn StoreFaults>) -> Self {
+        Self {
+            faults: Some(faults),
+            ..self
+        }
+    }
+
+    pub(super) async fn pass_faults(&self) -> Result<(), StoreError> {
+        match &self.faults {
+            Some(faults) => faults.pass().await,
+            None => Ok(()),
+        }
+    }
+
+    /// Which build and processor makes results now.
+    pub(crate) fn build(&self) -> String {
+        self.build.clone()
+    }
+
+    /// Whether it is open to be written. Otherwise every call that writes ends with [`StoreError::Refused`].
+    pub(crate) fn is_writable(&self) -> bool {
+        self.writing.is_some()
+    }
+
+    /// Whether another process may be writing it meanwhile.
+    pub fn is_written(&self) -> bool {
+        self.is_written
+    }
+
+    fn writing(&self) -> Result<&StoreWriting, StoreError> {
+        let refused = || StoreError::Refused("the store is only looked at".into());
+        self.writing.as_ref().ok_or_else(refused)
+    }
+
+    /// How nodes that share the store take sessions; `None` where one process has it for itself.
+    pub(crate) fn ownership(&self) -> Option<&SharedStore> {
+        self.writing.as_ref()?.shared.as_ref()
+    }
+
+    /// Whether the store takes writes: false from a write that failed until one works again.
+    pub(crate) fn takes_writes(&self) -> bool {
+        // Who asks wants to know it as it is now, and not as of the last look.
+        let takes = |health: &StoreHealth| health.note(health.check_places()).is_ok() && health.takes_writes();
+        self.writing.as_ref().is_some_and(|writing| takes(&writing.health))
+    }
+
+    /// Removes what was refused and may have been written; to be called before commits are read.
+    pub(super) async fn undo_uncertain_commits(&self) -> Result<(), StoreError> {
+        match &self.writing {
+            Some(writing) => writing.writer.undo_uncertain_commits().await,
+            None => Ok(()),
+        }
+    }
+
+    /// What comes before the reading of commits.
+    pub(super) async fn settle_before_reading(&self) -> Result<(), StoreError> {
+        self.pass_faults().await?;
+        self.undo_uncertain_commits().await
+    }
+
+    /// Whether the creation of a session was refused and may have been written.
+    pub(super) fn refused_creation(&self, session: &str) -> bool {
+        let writing = self.writing.as_ref();
+        writing.is_some_and(|writing| writing.writer.refused_creation(session))
+    }
+
+    /// Passes on what was read. Who only reads a store is an operator, and learns why it cannot be read, which a server hides from clients.
+    pub(super) fn explain<T>(&self, read: Result<T, StoreError>) -> Result<T, StoreError> {
+        match (read, &self.writing) {
+            (Err(StoreError::Unavailable(problem)), None) => Err(StoreError::Refused(problem)),
+            (read, _) => read,
+        }
+    }
+
     /// Writes what waits and closes the database, so that its file is whole without the log beside it. Nothing can be read or written
     /// afterwards.
     pub async fn close(&self) {
         self.pool.close().await;
-        self.writer.finish().await;
-        if let Some(shared) = &self.shared {
-            shared.close().await;
+        if let Some(writing) = &self.writing {
+            writing.writer.finish().await;
+            if let Some(shared) = &writing.shared {
+                shared.close().await;
+            }
         }
     }
 
     /// Records the sizes of objects that an older version wrote. A missing object has size 0; reading it is an error.
     pub(super) async fn measure_objects(&self) -> Result<(), StoreError> {
         let mut objects = Vec::new();
-        for name in reading::unmeasured_objects(&self.pool).await? {
+        for name in self.unmeasured_objects().await? {
             let bytes = self.objects.size(&name).await.unwrap_or_default();
             objects.push(StoredObject { name, bytes });
         }
@@ -58,22 +154,6 @@ impl DatabaseStore {
         Ok(())
     }
 
-    /// The sessions of all tenants, in the order of their creation.
-    ///
-    /// # Errors
-    /// When the database does not answer.
-    pub async fn all_sessions(&self) -> Result<Vec<StoredFacts>, StoreError> {
-        reading::all_sessions(&self.pool).await
-    }
-
-    /// The objects that no session names.
-    ///
-    /// # Errors
-    /// When database or objects do not answer.
-    pub async fn unused_objects(&self) -> Result<Vec<String>, StoreError> {
-        self.objects.unused(reading::used_objects(&self.pool).await?).await
-    }
-
     /// Removes objects that no session names.
     ///
     /// # Errors
@@ -81,45 +161,26 @@ impl DatabaseStore {
     pub async fn remove_unused(&self, names: &[String]) -> Result<(), StoreError> {
         let _alone = self.objects.naming.write().await;
         for name in names {
-            if !reading::is_used(&self.pool, name).await? {
+            if !is_used(name, &self.pool).await? {
                 self.objects.remove(name).await?;
             }
         }
         Ok(())
     }
 
-    /// Forgets what the audit trail says of before `before_ms`.
-    ///
-    /// # Errors
-    /// When the database does not answer.
-    pub async fn forget_audit(&self, before_ms: u64) -> Result<(), StoreError> {
-        self.write(WriteOrder::ForgetAudit {
-            tenant: None,
-            before_ms,
-        })
-        .await
-    }
-
     async fn put_object(&self, bytes: Bytes) -> Result<String, StoreError> {
-        self.health.note(self.health.check_places())?;
-        if self.shared.is_some() {
+        let StoreWriting { health, shared, .. } = self.writing()?;
+        health.note(health.check_places())?;
+        if shared.is_some() {
             let name = self.objects.name(bytes.clone()).await?;
-            self.health.note(announce(&self.pool, &name).await)?;
+            health.note(note_loose(&name, &self.pool).await)?;
         }
-        self.health.note(self.objects.put(bytes).await)
-    }
-
-    /// The node that has what is created here; empty for a single node.
-    fn owner(&self) -> String {
-        self.shared
-            .as_ref()
-            .map(|shared| shared.lease.id.clone())
-            .unwrap_or_default()
+        health.note(self.objects.put(bytes).await)
     }
 
     /// Refuses to name objects that were announced too long ago: they may be gone again.
     fn refuse_late_names(&self, begun: Instant) -> Result<(), StoreError> {
-        if self.shared.is_some() && begun.elapsed() > NAMED_WITHIN {
+        if self.ownership().is_some() && begun.elapsed() > NAMED_WITHIN {
             return Err(StoreError::Unavailable(format!(
                 "writing the objects took longer than {NAMED_WITHIN:?}"
             )));
@@ -127,12 +188,21 @@ impl DatabaseStore {
         Ok(())
     }
 
-    async fn get_object(&self, name: String) -> Result<Bytes, StoreError> {
-        self.objects.get(name).await.map_err(|error| match error {
-            // Where everything is gone, it is not the one object that is damaged.
-            StoreError::Damaged(_) => self.health.note(self.health.check_places()).err().unwrap_or(error),
-            error => error,
-        })
+    /// Reads an object.
+    pub(crate) async fn object(&self, name: &str) -> Result<Bytes, StoreError> {
+        self.pass_faults().await?;
+        let read = self
+            .objects
+            .get(name.to_owned())
+            .await
+            .map_err(|error| match (error, &self.writing) {
+                // Where everything is gone, it is not the one object that is damaged.
+                (error @ StoreError::Damaged(_), Some(StoreWriting { health, .. })) => {
+                    health.note(health.check_places()).err().unwrap_or(error)
+                }
+                (error, _) => error,
+            });
+        self.explain(read)
     }
 
     /// Writes files; their names, and what is to be counted of them.
@@ -159,49 +229,41 @@ impl DatabaseStore {
     /// Writes an order and removes the objects that have no name after it. A failed removal is not an error: `prune`
     /// finds them.
     pub(super) async fn write(&self, order: WriteOrder) -> Result<(), StoreError> {
-        let unnamed = self.writer.write(order).await?;
-        if unnamed.is_empty() {
-            return Ok(());
-        }
-        let _alone = self.objects.naming.write().await;
+        let unnamed = self.writing()?.writer.write(order).await?;
         for object in unnamed {
-            let removed = match reading::is_used(&self.pool, &object).await {
-                Ok(true) => continue,
-                Ok(false) => self.objects.remove(&object).await,
-                Err(error) => Err(error),
-            };
-            if let Err(error) = removed {
+            if let Err(error) = self.remove_unused(&[object]).await {
                 tracing::warn!("an object that no session uses could not be removed: {error}");
             }
         }
         Ok(())
     }
 
-    async fn create_session(&self, mut session: NewSession) -> Result<Generation, StoreError> {
-        let (begun, owner) = (Instant::now(), self.owner());
+    /// Keeps a new session, which is this process's then.
+    pub(crate) async fn create(&self, mut session: NewSession) -> Result<Generation, StoreError> {
+        self.pass_faults().await?;
+        let begun = Instant::now();
+        let owner = self.ownership().map(|shared| shared.id.clone()).unwrap_or_default();
         let generation = first_generation(&owner);
         session.first.session.generation = generation;
         let naming = self.objects.naming.read().await;
         let (names, objects) = self.put_files(&session.files).await?;
         session.model.files = names;
-        let model = session.model.write();
-        let session = Box::new(NewSession {
-            files: FileSet::default(),
-            ..session
-        });
+        session.files = FileSet::default();
         let order = WriteOrder::Create {
-            session,
-            model,
+            model: session.model.write(),
+            session: Box::new(session),
             objects,
             owner,
         };
         self.refuse_late_names(begun)?;
-        let written = self.writer.write(order).await;
+        let written = self.writing()?.writer.write(order).await;
         drop(naming);
         written.map(|_| generation)
     }
 
-    async fn append_commit(&self, mut commit: NewCommit) -> Result<(), StoreError> {
+    /// Keeps a commit.
+    pub(crate) async fn append(&self, mut commit: NewCommit) -> Result<(), StoreError> {
+        self.pass_faults().await?;
         let begun = Instant::now();
         let naming = self.objects.naming.read().await;
         let mut objects = Vec::new();
@@ -212,12 +274,23 @@ impl DatabaseStore {
         }
         self.refuse_late_names(begun)?;
         let commit = Box::new(commit);
-        let written = self.writer.write(WriteOrder::Append { commit, objects }).await;
+        let written = self
+            .writing()?
+            .writer
+            .write(WriteOrder::Append { commit, objects })
+            .await;
         drop(naming);
         written.map(drop)
     }
 
-    async fn write_snapshot(&self, session: HeldSession, sequence: u64, shape: Bytes) -> Result<(), StoreError> {
+    /// Keeps a shape as the newest of a session.
+    pub(crate) async fn save_snapshot(
+        &self,
+        session: HeldSession,
+        sequence: u64,
+        shape: Bytes,
+    ) -> Result<(), StoreError> {
+        self.pass_faults().await?;
         let begun = Instant::now();
         let naming = self.objects.naming.read().await;
         let bytes = shape.len() as u64;
@@ -228,162 +301,65 @@ impl DatabaseStore {
             shape: StoredObject { name, bytes },
         };
         self.refuse_late_names(begun)?;
-        let unnamed = self.writer.write(order).await?;
+        let unnamed = self.writing()?.writer.write(order).await?;
         drop(naming);
-        let _alone = self.objects.naming.write().await;
-        for object in unnamed {
-            if !reading::is_used(&self.pool, &object).await? {
-                self.objects.remove(&object).await?;
-            }
-        }
-        Ok(())
+        self.remove_unused(&unnamed).await
     }
 
-    async fn write_digests(
+    /// Replaces digests, by the numbers of commits, by those of `build`.
+    pub(crate) async fn rerecord_digests(
         &self,
         session: HeldSession,
-        build: String,
+        build: &str,
         digests: Vec<(u64, String)>,
     ) -> Result<(), StoreError> {
+        self.pass_faults().await?;
         let gone = || StoreError::Damaged("a commit is gone".into());
         let mut commits = Vec::with_capacity(digests.len());
         for (sequence, digest) in digests {
-            let mut row = reading::commit_row(&self.pool, &session.id, sequence)
-                .await?
-                .ok_or_else(gone)?;
-            row.digest = digest;
-            row.build.clone_from(&build);
-            commits.push(row);
+            let found = self.commit_with_record(&session.id, sequence).await?;
+            let (mut commit, payload) = found.ok_or_else(gone)?;
+            commit.digest = digest;
+            build.clone_into(&mut commit.build);
+            let checksum = commit_checksum(&session.id, commit.record.kind(), &commit, &payload);
+            commits.push((commit, checksum));
         }
         self.write(WriteOrder::RerecordDigests { session, commits }).await
     }
-}
 
-impl ReadSessions for DatabaseStore {
-    fn build(&self) -> String {
-        self.build.clone()
+    /// Deletes a session and what only it used, and notes who did.
+    ///
+    /// # Errors
+    /// [`StoreError::Unavailable`] where it cannot be written, [`StoreError::Moved`] where another node has the session,
+    /// [`StoreError::Refused`] where it is open to be read only.
+    pub async fn delete(&self, audit: AuditEntry, generation: Generation) -> Result<(), StoreError> {
+        self.pass_faults().await?;
+        self.write(WriteOrder::Delete { audit, generation }).await
     }
 
-    fn ownership(&self) -> Option<&dyn SessionOwnership> {
-        self.shared.as_ref().map(|shared| shared as _)
+    /// Notes when sessions were used.
+    pub(crate) async fn note_use(&self, sessions: Vec<UsedSession>) -> Result<(), StoreError> {
+        self.write(WriteOrder::NoteUse { sessions }).await
     }
 
-    fn takes_writes(&self) -> bool {
-        // Who asks wants to know it as it is now, and not as of the last look.
-        self.health.note(self.health.check_places()).is_ok() && self.health.takes_writes()
+    /// Forgets keys from before `before_ms`.
+    pub(crate) async fn forget_keys(&self, before_ms: u64) -> Result<(), StoreError> {
+        self.write(WriteOrder::ForgetKeys { before_ms }).await
     }
 
-    fn writable(&self) -> Result<&dyn KeepSessions, StoreError> {
-        Ok(self)
+    /// Notes who did what.
+    ///
+    /// # Errors
+    /// As [`Store::delete`].
+    pub async fn audit(&self, entry: AuditEntry) -> Result<(), StoreError> {
+        self.write(WriteOrder::Audit { entry }).await
     }
 
-    fn load(&self, tenant: Tenant, id: String) -> Stored<'_, Option<StoredSession>> {
-        Box::pin(async move {
-            self.writer.undo_uncertain_commits().await?;
-            reading::whole_session(&self.pool, &tenant, &id).await
-        })
-    }
-
-    fn commit(&self, session: String, sequence: u64) -> Stored<'_, Option<Commit>> {
-        Box::pin(async move {
-            self.writer.undo_uncertain_commits().await?;
-            let row = reading::commit_row(&self.pool, &session, sequence).await?;
-            row.map(|row| row.into_commit()).transpose()
-        })
-    }
-
-    fn holds(&self, tenant: Tenant, id: String) -> Stored<'_, bool> {
-        Box::pin(async move { reading::has_session(&self.pool, &tenant.0, &id).await })
-    }
-
-    fn list(&self, tenant: Tenant, after: u64, most: usize) -> Stored<'_, Vec<(u64, Option<ListedSession>)>> {
-        Box::pin(async move {
-            let mut list = reading::listed(&self.pool, &tenant.0, after, most).await?;
-            // One whose creation was refused is removed as soon as the database can be written.
-            let refused = |id: &str| self.writer.refused_creation(id);
-            for (_, listed) in &mut list {
-                *listed = listed.take().filter(|session| !refused(&session.id));
-            }
-            Ok(list)
-        })
-    }
-
-    fn object(&self, name: String) -> Stored<'_, Bytes> {
-        Box::pin(self.get_object(name))
-    }
-
-    fn sessions_by_tenant(&self) -> Stored<'_, Vec<(Tenant, u64)>> {
-        Box::pin(reading::sessions_by_tenant(&self.pool))
-    }
-
-    fn stored_bytes(&self, tenant: Tenant) -> Stored<'_, u64> {
-        Box::pin(async move { reading::stored_bytes(&self.pool, &tenant.0).await })
-    }
-
-    fn count_sessions(&self, tenant: Tenant) -> Stored<'_, u64> {
-        Box::pin(async move { reading::count_sessions(&self.pool, &tenant.0).await })
-    }
-
-    fn highest_number(&self) -> Stored<'_, u64> {
-        Box::pin(reading::highest_number(&self.pool))
-    }
-}
-
-impl KeepSessions for DatabaseStore {
-    fn create(&self, session: NewSession) -> Stored<'_, Generation> {
-        Box::pin(self.create_session(session))
-    }
-
-    fn append(&self, commit: NewCommit) -> Stored<'_, ()> {
-        Box::pin(self.append_commit(commit))
-    }
-
-    fn save_snapshot(&self, session: HeldSession, sequence: u64, shape: Bytes) -> Stored<'_, ()> {
-        Box::pin(self.write_snapshot(session, sequence, shape))
-    }
-
-    fn rerecord_digests(&self, session: HeldSession, build: String, digests: Vec<(u64, String)>) -> Stored<'_, ()> {
-        Box::pin(self.write_digests(session, build, digests))
-    }
-
-    fn delete(&self, audit: AuditEntry, generation: Generation) -> Stored<'_, ()> {
-        Box::pin(self.write(WriteOrder::Delete { audit, generation }))
-    }
-
-    fn note_use(&self, sessions: Vec<UsedSession>) -> Stored<'_, ()> {
-        Box::pin(self.write(WriteOrder::NoteUse { sessions }))
-    }
-
-    fn expired(&self, since_ms: u64, now_ms: u64) -> Stored<'_, Vec<(Tenant, String)>> {
-        Box::pin(reading::expired(&self.pool, since_ms, now_ms))
-    }
-
-    fn key(&self, tenant: Tenant, key: String) -> Stored<'_, Option<LoggedKey>> {
-        Box::pin(async move {
-            // One whose commit was refused goes with it: no caller may learn that it was carried out.
-            self.writer.undo_uncertain_commits().await?;
-            reading::one_key(&self.pool, &tenant.0, &key).await
-        })
-    }
-
-    fn keys(&self) -> Stored<'_, Vec<LoggedKey>> {
-        Box::pin(reading::keys(&self.pool))
-    }
-
-    fn forget_keys(&self, before_ms: u64) -> Stored<'_, ()> {
-        Box::pin(self.write(WriteOrder::ForgetKeys { before_ms }))
-    }
-
-    fn audit(&self, entry: AuditEntry) -> Stored<'_, ()> {
-        Box::pin(self.write(WriteOrder::Audit { entry }))
-    }
-
-    fn audited_tenants(&self) -> Stored<'_, Vec<Tenant>> {
-        Box::pin(reading::audited_tenants(&self.pool))
-    }
-
-    fn forget_audit_of(&self, tenant: Tenant, before_ms: u64) -> Stored<'_, ()> {
-        let tenant = Some(tenant);
-        Box::pin(self.write(WriteOrder::ForgetAudit { tenant, before_ms }))
+    /// Forgets what was noted before `before_ms`, of one tenant where it is named.
+    ///
+    /// # Errors
+    /// As [`Store::delete`].
+    pub async fn forget_audit(&self, tenant: Option<Tenant>, before_ms: u64) -> Result<(), StoreError> {
+        self.write(WriteOrder::ForgetAudit { tenant, before_ms }).await
     }
 }

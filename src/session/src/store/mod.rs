@@ -6,15 +6,15 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `session_store` | the traits that sessions use, their values and errors |
+//! | `session_store` | what sessions write and read, and the errors |
 //! | `location` | where a store is; the data folder: created, locked, read |
-//! | `database_store`, `opening` | the traits on a database and objects, and how a store is opened |
-//! | `shared_store`, `loose_objects` | which of several nodes has a session, and the objects that they share |
+//! | `database_store`, `reading` | the store on a database and objects: what it writes, what it reads |
+//! | `opening` | how a store is opened |
+//! | `shared_store` | which of several nodes has a session |
 //! | `read_only_store` | a store that operators inspect and compare, also while a server writes it |
-//! | `connection`, `schema` | the database, SQLite or PostgreSQL, and its tables |
+//! | `connection`, `schema` | the database, SQLite or PostgreSQL, its tables and their rows |
 //! | `writer`, `write_order` | one task writes, several orders in one transaction; whether the store takes writes |
 //! | `newest_write` | how far a file was written, so that a lost end is noticed |
-//! | `rows`, `reading` | rows with their checksums, and the queries that read them |
 //! | `objects`, `bucket` | large data, by content, in a local folder or in S3 |
 
 mod bucket;
@@ -32,15 +32,16 @@ mod shared_store;
 mod write_order;
 mod writer;
 
-pub use database_store::DatabaseStore;
+pub use database_store::{Store, StoreFaults};
 pub use location::StoreLocation;
 pub(crate) use objects::{read_shape, write_shape};
-pub use read_only_store::{AuditFilter, CheckedSession, ReadOnlyStore, read_audit};
-pub use session_store::{
-    Commit, Generation, HeldSession, KeepSessions, ListedSession, LoggedKey, NewCommit, NewSession, NodeIdentity,
-    NodeLoad, ReadSessions, SessionClaim, SessionOwnership, StoreError, Stored, StoredFacts, StoredSession,
-    StoredSnapshot, UsedSession, calendar_text, now_ms,
+pub use read_only_store::{AuditFilter, CheckedSession, read_audit};
+pub(crate) use session_store::{
+    Commit, HeldSession, ListedSession, LoggedKey, NewCommit, NewSession, SessionClaim, SessionRecord, StoredSession,
+    UsedSession, millis, ms_ago,
 };
+pub use session_store::{Generation, NodeIdentity, NodeLoad, StoreError, StoredFacts, calendar_text, now_ms};
+pub(crate) use shared_store::SharedStore;
 
 /// Names the build and processor that make a result: the sources of what computes and the compiler as a digest, and the
 /// processor. Within one, the same inputs give the same bits; another may differ in late digits.

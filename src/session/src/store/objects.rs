@@ -12,10 +12,8 @@
 
 use super::bucket::open_bucket;
 use super::location::{make_private_folder, sync_folder};
-use super::reading::{is_used_on, unreadable};
-use super::schema::DATABASE_NOW;
-use super::schema::column;
-use super::session_store::StoreError;
+use super::schema::{DATABASE_NOW, column, signed, unreadable};
+use super::session_store::{StoreError, millis};
 use bytes::Bytes;
 use futures::TryStreamExt as _;
 use glam::DVec3;
@@ -23,7 +21,7 @@ use object_store::local::LocalFileSystem;
 use object_store::path::Path as ObjectPath;
 use object_store::{ObjectStore, ObjectStoreExt as _, PutMode, PutOptions};
 use sha2::{Digest as _, Sha256};
-use sqlx::{AnyConnection, AnyPool, AssertSqlSafe};
+use sqlx::{AnyPool, AssertSqlSafe};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::io::Write as _;
@@ -409,32 +407,13 @@ pub(super) const NAMED_WITHIN: Duration = Duration::from_secs(1200);
 /// Objects of one sweep.
 const MOST: i64 = 200;
 
-fn grace_ms() -> i64 {
-    i64::try_from(GRACE.as_millis()).unwrap_or(i64::MAX)
-}
-
-fn note_statement() -> String {
-    format!(
+/// Notes an object that is about to be written and named, or that lost a name. Waits while a node removes it.
+pub(super) async fn note_loose(object: &str, on: impl sqlx::AnyExecutor<'_>) -> Result<(), StoreError> {
+    let note = format!(
         "INSERT INTO loose_objects (object, since_ms) VALUES ($1, {DATABASE_NOW})
         ON CONFLICT (object) DO UPDATE SET since_ms = {DATABASE_NOW}"
-    )
-}
-
-/// Announces an object that is about to be written and named. Waits while a node removes it.
-pub(super) async fn announce(pool: &AnyPool, object: &str) -> Result<(), StoreError> {
-    let done = sqlx::query(AssertSqlSafe(note_statement()))
-        .bind(object)
-        .execute(pool)
-        .await;
-    done.map(drop).map_err(unreadable)
-}
-
-/// Notes that an object lost a name.
-pub(super) async fn note_loose(object: &str, on: &mut AnyConnection) -> Result<(), StoreError> {
-    let done = sqlx::query(AssertSqlSafe(note_statement()))
-        .bind(object)
-        .execute(on)
-        .await;
+    );
+    let done = sqlx::query(AssertSqlSafe(note)).bind(object).execute(on).await;
     done.map(drop).map_err(unreadable)
 }
 
@@ -442,11 +421,21 @@ pub(super) async fn note_loose(object: &str, on: &mut AnyConnection) -> Result<(
 pub(super) async fn remove_loose(pool: &AnyPool, objects: &Objects) -> Result<(), StoreError> {
     let find =
         format!("SELECT object FROM loose_objects WHERE since_ms < {DATABASE_NOW} - $1 ORDER BY since_ms LIMIT {MOST}");
-    let rows = sqlx::query(AssertSqlSafe(find)).bind(grace_ms()).fetch_all(pool).await;
+    let rows = sqlx::query(AssertSqlSafe(find))
+        .bind(signed(millis(GRACE)))
+        .fetch_all(pool)
+        .await;
     for row in &rows.map_err(unreadable)? {
         remove_one(pool, objects, &column::<String>(row, 0)?).await?;
     }
     Ok(())
+}
+
+/// Whether any session uses an object.
+pub(super) async fn is_used(object: &str, on: impl sqlx::AnyExecutor<'_>) -> Result<bool, StoreError> {
+    let query = sqlx::query("SELECT session FROM object_uses WHERE object = $1 LIMIT 1");
+    let found = query.bind(object).fetch_optional(on).await;
+    Ok(found.map_err(unreadable)?.is_some())
 }
 
 async fn remove_one(pool: &AnyPool, objects: &Objects, object: &str) -> Result<(), StoreError> {
@@ -455,11 +444,13 @@ async fn remove_one(pool: &AnyPool, objects: &Objects, object: &str) -> Result<(
     let lock = format!(
         "SELECT object FROM loose_objects WHERE object = $1 AND since_ms < {DATABASE_NOW} - $2 FOR UPDATE SKIP LOCKED"
     );
-    let locked = sqlx::query(AssertSqlSafe(lock)).bind(object).bind(grace_ms());
+    let locked = sqlx::query(AssertSqlSafe(lock))
+        .bind(object)
+        .bind(signed(millis(GRACE)));
     if (locked.fetch_optional(&mut *transaction).await.map_err(unreadable)?).is_none() {
         return Ok(());
     }
-    if !is_used_on(&mut transaction, object).await? {
+    if !is_used(object, &mut *transaction).await? {
         objects.remove(object).await?;
     }
     let delete = sqlx::query("DELETE FROM loose_objects WHERE object = $1").bind(object);

@@ -2,7 +2,7 @@
 
 use super::build_identity;
 use super::connection::{DatabaseAddress, SharingNode, WritingConnection, release_exclusive, take_exclusive};
-use super::database_store::DatabaseStore;
+use super::database_store::{Store, StoreWriting};
 use super::location::{
     DATABASE_FILE, FolderHold, StoreLocation, existing_database, make_private_file, refuse_objects_alone,
 };
@@ -10,15 +10,16 @@ use super::newest_write::NewestWrite;
 use super::objects::Objects;
 use super::schema::{Dialect, TABLES, any_object, identity, migrate, version};
 use super::session_store::{NodeIdentity, NodeLoad, StoreError};
-use super::shared_store::{NodeLease, SharedStore};
+use super::shared_store::SharedStore;
 use super::write_order::WriteOrder;
 use super::writer::{StoreHealth, Writer};
-use sqlx::AnyConnection;
+use sqlx::{AnyConnection, AnyPool};
 use std::path::PathBuf;
+use std::sync::atomic::AtomicI64;
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 
-impl DatabaseStore {
+impl Store {
     /// Opens a store, makes or brings up to date what is missing.
     ///
     /// # Errors
@@ -44,7 +45,7 @@ impl DatabaseStore {
     /// Opens a store that is there, to change it. Nothing is made where none is.
     ///
     /// # Errors
-    /// As [`DatabaseStore::open`]; [`StoreError::Refused`] where there is no store.
+    /// As [`Store::open`]; [`StoreError::Refused`] where there is no store.
     pub async fn open_existing(location: &StoreLocation) -> Result<Self, StoreError> {
         if let (Some(folder), None) = (&location.data_dir, &location.database) {
             existing_database(folder)?;
@@ -84,17 +85,13 @@ impl DatabaseStore {
             Dialect::Postgres => None,
         };
         let health = Arc::new(StoreHealth::of_places(places(location))?);
-        let store = Self {
-            build: location.build.clone().unwrap_or_else(build_identity),
-            pool: address.readers().await?,
+        let writing = StoreWriting {
             writer: Arc::new(Writer::start(writing, Arc::clone(&health), newest)),
-            objects: Arc::new(objects),
             health,
             shared: None,
-            _hold: hold,
         };
-        store.look_after().await?;
-        Ok(store)
+        let pool = address.readers().await?;
+        Self::looked_after(location, writing, pool, Arc::new(objects), hold).await
     }
 
     /// Opens a store for one of several nodes.
@@ -118,34 +115,53 @@ impl DatabaseStore {
         mark_objects(connection, &address, &objects, location).await?;
         drop(open_lock);
         let id = random.map(|byte| format!("{byte:02x}")).concat();
-        let lease = NodeLease::new(node.clone(), id, address.heartbeat_pool().await?);
-        lease.renew(NodeLoad::default()).await?;
         let health = Arc::new(StoreHealth::of_places([])?);
         let shared = SharedStore {
-            lease,
+            node: node.clone(),
+            id,
+            heartbeat: address.heartbeat_pool().await?,
+            lapses: AtomicI64::new(0),
             pool: address.readers().await?,
             writer: Arc::new(Writer::start(writing, Arc::clone(&health), None)),
             objects: Arc::new(objects),
             health,
         };
-        let store = Self {
-            build: location.build.clone().unwrap_or_else(build_identity),
-            pool: shared.pool.clone(),
+        shared.beat(NodeLoad::default()).await?;
+        let (pool, objects) = (shared.pool.clone(), Arc::clone(&shared.objects));
+        let writing = StoreWriting {
             writer: Arc::clone(&shared.writer),
-            objects: Arc::clone(&shared.objects),
             health: Arc::clone(&shared.health),
             shared: Some(shared),
-            _hold: None,
         };
-        store.look_after().await?;
-        Ok(store)
+        Self::looked_after(location, writing, pool, objects, None).await
     }
 
-    /// Looks after the store for as long as it is open.
-    async fn look_after(&self) -> Result<(), StoreError> {
-        let (writer, objects) = (Arc::downgrade(&self.writer), Arc::downgrade(&self.objects));
-        tokio::spawn(watch_store(Arc::clone(&self.health), writer, objects));
-        self.measure_objects().await
+    /// The store, looked after for as long as it is open.
+    async fn looked_after(
+        location: &StoreLocation,
+        writing: StoreWriting,
+        pool: AnyPool,
+        objects: Arc<Objects>,
+        hold: Option<FolderHold>,
+    ) -> Result<Self, StoreError> {
+        let (writer, shelves) = (Arc::downgrade(&writing.writer), Arc::downgrade(&objects));
+        tokio::spawn(watch_store(Arc::clone(&writing.health), writer, shelves));
+        let store = Self {
+            build: location.build.clone().unwrap_or_else(build_identity),
+            pool,
+            dialect: match location.database {
+                Some(_) => Dialect::Postgres,
+                None => Dialect::Sqlite,
+            },
+            objects,
+            writing: Some(writing),
+            is_written: false,
+            folder: location.data_dir.clone().filter(|_| location.database.is_none()),
+            _hold: hold,
+            faults: None,
+        };
+        store.measure_objects().await?;
+        Ok(store)
     }
 }
 

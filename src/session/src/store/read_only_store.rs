@@ -1,18 +1,18 @@
 //! A store that is only read: nothing is created or changed where it lies, whether or not a server writes it.
 //! Operators use it to list and compare what is stored, and to read who did what.
 
+use super::build_identity;
 use super::connection::{DatabaseAddress, WritingConnection};
+use super::database_store::Store;
 use super::location::{FolderHold, StoreLocation, existing_database, make_private_file};
 use super::newest_write::find_lost_writes;
 use super::objects::Objects;
-use super::reading::unreadable;
-use super::schema::{Dialect, TABLES, known_identity, known_version, migrate, version};
-use super::schema::{column, signed, unsigned};
-use super::session_store::{Commit, ListedSession, ReadSessions, StoreError, Stored, StoredFacts, StoredSession};
-use super::{build_identity, reading};
+use super::schema::{
+    Dialect, TABLES, column, known_identity, known_version, migrate, signed, unreadable, unsigned, version,
+};
+use super::session_store::StoreError;
 use crate::answers::Tenant;
 use crate::audit::audit_entry::StoredAuditEntry;
-use bytes::Bytes;
 use futures::TryStreamExt as _;
 use pliant_wire::record::LoggedCommit;
 use sqlx::AnyPool;
@@ -21,20 +21,20 @@ use std::fs::{File, Permissions};
 use std::io;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// What a crash leaves beside a database of SQLite, which belongs to it.
 const LOGS: [&str; 2] = ["-wal", "-journal"];
 
 /// A database that is only read.
-#[derive(Debug)]
-pub(super) struct DatabaseToRead {
+struct DatabaseToRead {
     pub pool: AnyPool,
     pub dialect: Dialect,
     /// Whether another process may be writing it.
     pub is_written: bool,
     /// Where it is.
     pub address: DatabaseAddress,
-    _hold: Option<FolderHold>,
+    hold: Option<FolderHold>,
 }
 
 impl DatabaseToRead {
@@ -89,7 +89,7 @@ impl DatabaseToRead {
             dialect: address.dialect(),
             is_written: false,
             address,
-            _hold: hold,
+            hold,
         })
     }
 
@@ -165,22 +165,12 @@ pub struct CheckedSession {
     pub object_bytes: u64,
 }
 
-/// A store that is only read.
-#[derive(Debug)]
-pub struct ReadOnlyStore {
-    pub(super) database: DatabaseToRead,
-    pub(super) objects: Objects,
-    /// The folder of a database that is a file.
-    pub(super) folder: Option<PathBuf>,
-    build: String,
-}
-
-impl ReadOnlyStore {
-    /// Opens a store that is there.
+impl Store {
+    /// Opens a store that is there, to be read alone.
     ///
     /// # Errors
     /// [`StoreError::Refused`] where there is no store, with what is missing; [`StoreError::Unavailable`] where it cannot be read.
-    pub async fn open(location: &StoreLocation) -> Result<Self, StoreError> {
+    pub async fn open_to_read(location: &StoreLocation) -> Result<Self, StoreError> {
         let database = DatabaseToRead::open(location).await?;
         let objects = match (&location.objects, &location.data_dir) {
             (Some(url), _) => Objects::in_bucket(url)?,
@@ -193,24 +183,16 @@ impl ReadOnlyStore {
             objects.agree_with(&identity).await?;
         }
         Ok(Self {
-            database,
-            objects,
-            folder: location.data_dir.clone().filter(|_| location.database.is_none()),
             build: location.build.clone().unwrap_or_else(build_identity),
+            pool: database.pool,
+            dialect: database.dialect,
+            objects: Arc::new(objects),
+            writing: None,
+            is_written: database.is_written,
+            folder: location.data_dir.clone().filter(|_| location.database.is_none()),
+            _hold: database.hold,
+            faults: None,
         })
-    }
-
-    /// Whether another process may be writing it meanwhile.
-    pub fn is_written(&self) -> bool {
-        self.database.is_written
-    }
-
-    /// The sessions of all tenants, in the order of their creation.
-    ///
-    /// # Errors
-    /// When the database does not answer.
-    pub async fn all_sessions(&self) -> Result<Vec<StoredFacts>, StoreError> {
-        reading::all_sessions(&self.database.pool).await
     }
 
     /// Compares rows and objects of a session with their checksums; `None` where the session has gone meanwhile.
@@ -218,7 +200,7 @@ impl ReadOnlyStore {
     /// # Errors
     /// [`StoreError::Damaged`] with the first thing that does not fit. What is written meanwhile may not fit once.
     pub async fn check_session(&self, tenant: &Tenant, id: &str) -> Result<Option<CheckedSession>, StoreError> {
-        let Some(session) = self.load(tenant.clone(), id.to_owned()).await? else {
+        let Some(session) = self.load(tenant, id).await? else {
             return Ok(None);
         };
         let mut names: BTreeSet<String> = session.model.files.objects().cloned().collect();
@@ -234,11 +216,11 @@ impl ReadOnlyStore {
             object_bytes: 0,
         };
         for name in names {
-            if !reading::uses(&self.database.pool, id, &name).await? {
+            if !self.uses(id, &name).await? {
                 let text = format!("object {name} is the session's, and is not noted as used");
                 return Err(StoreError::Damaged(text));
             }
-            checked.object_bytes += self.object(name).await?.len() as u64;
+            checked.object_bytes += self.object(&name).await?.len() as u64;
         }
         Ok(Some(checked))
     }
@@ -248,77 +230,14 @@ impl ReadOnlyStore {
     /// # Errors
     /// [`StoreError::Damaged`] with what it finds.
     pub async fn check_database(&self) -> Result<(), StoreError> {
-        reading::integrity(&self.database.pool, self.database.dialect).await?;
+        self.check_integrity().await?;
         let Some(folder) = &self.folder else { return Ok(()) };
         let failed = |e: sqlx::Error| StoreError::Unavailable(e.to_string());
-        let mut connection = self.database.pool.acquire().await.map_err(failed)?;
+        let mut connection = self.pool.acquire().await.map_err(failed)?;
         match find_lost_writes(folder, &mut connection).await? {
             Some(lost) => Err(StoreError::Damaged(lost)),
             None => Ok(()),
         }
-    }
-
-    /// The objects that no session names; where a server holds the store, those among them that it is just writing.
-    ///
-    /// # Errors
-    /// When database or objects do not answer.
-    pub async fn unused_objects(&self) -> Result<Vec<String>, StoreError> {
-        self.objects
-            .unused(reading::used_objects(&self.database.pool).await?)
-            .await
-    }
-}
-
-/// Shows why the store cannot be read, which a server hides from clients.
-fn explained<T>(error: Result<T, StoreError>) -> Result<T, StoreError> {
-    error.map_err(|error| match error {
-        StoreError::Unavailable(problem) => StoreError::Refused(problem),
-        error => error,
-    })
-}
-
-impl ReadSessions for ReadOnlyStore {
-    fn build(&self) -> String {
-        self.build.clone()
-    }
-
-    fn load(&self, tenant: Tenant, id: String) -> Stored<'_, Option<StoredSession>> {
-        Box::pin(async move { explained(reading::whole_session(&self.database.pool, &tenant, &id).await) })
-    }
-
-    fn commit(&self, session: String, sequence: u64) -> Stored<'_, Option<Commit>> {
-        Box::pin(async move {
-            let row = explained(reading::commit_row(&self.database.pool, &session, sequence).await)?;
-            row.map(|row| row.into_commit()).transpose()
-        })
-    }
-
-    fn holds(&self, tenant: Tenant, id: String) -> Stored<'_, bool> {
-        Box::pin(async move { reading::has_session(&self.database.pool, &tenant.0, &id).await })
-    }
-
-    fn list(&self, tenant: Tenant, after: u64, most: usize) -> Stored<'_, Vec<(u64, Option<ListedSession>)>> {
-        Box::pin(async move { reading::listed(&self.database.pool, &tenant.0, after, most).await })
-    }
-
-    fn object(&self, name: String) -> Stored<'_, Bytes> {
-        Box::pin(async move { explained(self.objects.get(name).await) })
-    }
-
-    fn sessions_by_tenant(&self) -> Stored<'_, Vec<(Tenant, u64)>> {
-        Box::pin(reading::sessions_by_tenant(&self.database.pool))
-    }
-
-    fn stored_bytes(&self, tenant: Tenant) -> Stored<'_, u64> {
-        Box::pin(async move { reading::stored_bytes(&self.database.pool, &tenant.0).await })
-    }
-
-    fn count_sessions(&self, tenant: Tenant) -> Stored<'_, u64> {
-        Box::pin(async move { reading::count_sessions(&self.database.pool, &tenant.0).await })
-    }
-
-    fn highest_number(&self) -> Stored<'_, u64> {
-        Box::pin(async { explained(reading::highest_number(&self.database.pool).await) })
     }
 }
 

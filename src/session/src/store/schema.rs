@@ -2,9 +2,10 @@
 //!
 //! Rows with their checksums.
 
-use super::session_store::{Commit, NewCommit, StoreError};
+use super::session_store::{Commit, StoreError};
 use pliant_wire::record::LoggedCommit;
-use sqlx::any::AnyRow;
+use sqlx::any::{AnyArguments, AnyRow};
+use sqlx::query::Query;
 use sqlx::{AnyConnection, AssertSqlSafe, Row as _};
 use xxhash_rust::xxh3::Xxh3;
 
@@ -231,94 +232,45 @@ pub(super) async fn identity(connection: &mut AnyConnection) -> Result<String, S
 /// The version of the records that this program writes; it reads this one and all before.
 pub(super) const RECORD_FORMAT: i64 = 1;
 
-/// The columns of a commit, as [`CommitRow::read`] expects them.
+/// The columns of a commit, as [`read_commit`] expects them.
 pub(super) const COMMIT_COLUMNS: &str =
     "session, sequence, revision, kind, digest, build, facts_at, poses_at, format, payload, checksum";
 
-/// A row of the commits.
-#[derive(Debug, Clone)]
-pub(super) struct CommitRow {
-    pub session: String,
-    pub sequence: i64,
-    pub revision: i64,
-    pub kind: String,
-    pub digest: String,
-    pub build: String,
-    pub facts_at: i64,
-    pub poses_at: i64,
-    pub format: i64,
-    pub payload: Vec<u8>,
+/// The checksum of a commit's row, whose record is `payload`.
+pub(super) fn commit_checksum(session: &str, kind: &str, commit: &Commit, payload: &[u8]) -> Vec<u8> {
+    let Commit { digest, build, .. } = commit;
+    let [session, kind, digest, build] = [session, kind, digest, build].map(str::as_bytes);
+    let numbers = [commit.sequence, commit.revision, commit.facts_at, commit.poses_at].map(signed);
+    let [sequence, revision, facts_at, poses_at] = numbers;
+    checksum(
+        &[session, kind, digest, build, payload],
+        &[sequence, revision, facts_at, poses_at, RECORD_FORMAT],
+    )
 }
 
-impl CommitRow {
-    pub fn of(new: &NewCommit) -> Self {
-        let commit = &new.commit;
-        Self {
-            session: new.session.id.clone(),
-            sequence: signed(commit.sequence),
-            revision: signed(commit.revision),
-            kind: commit.record.kind().into(),
-            digest: commit.digest.clone(),
-            build: commit.build.clone(),
-            facts_at: signed(commit.facts_at),
-            poses_at: signed(commit.poses_at),
-            format: RECORD_FORMAT,
-            payload: commit.record.write(),
-        }
+/// Reads a commit from the columns of [`COMMIT_COLUMNS`]; with the bytes of its record.
+pub(super) fn read_commit(row: &AnyRow) -> Result<(Commit, Vec<u8>), StoreError> {
+    check_format(column(row, 8)?)?;
+    let (session, kind): (String, String) = (column(row, 0)?, column(row, 3)?);
+    let payload: Vec<u8> = column(row, 9)?;
+    let number = |index| unsigned(column(row, index)?);
+    let mut commit = Commit {
+        sequence: number(1)?,
+        revision: number(2)?,
+        digest: column(row, 4)?,
+        build: column(row, 5)?,
+        facts_at: number(6)?,
+        poses_at: number(7)?,
+        record: LoggedCommit::default(),
+    };
+    let sequence = commit.sequence;
+    if commit_checksum(&session, &kind, &commit, &payload) != column::<Vec<u8>>(row, 10)? {
+        let text = format!("commit {sequence} does not have the checksum that it was written with");
+        return Err(StoreError::Damaged(text));
     }
-
-    pub fn checksum(&self) -> Vec<u8> {
-        let numbers = [self.sequence, self.revision, self.facts_at, self.poses_at, self.format];
-        checksum(
-            &[
-                self.session.as_bytes(),
-                self.kind.as_bytes(),
-                self.digest.as_bytes(),
-                self.build.as_bytes(),
-                &self.payload,
-            ],
-            &numbers,
-        )
-    }
-
-    /// Reads the columns of [`COMMIT_COLUMNS`].
-    pub fn read(row: &AnyRow) -> Result<Self, StoreError> {
-        let read = Self {
-            session: column(row, 0)?,
-            sequence: column(row, 1)?,
-            revision: column(row, 2)?,
-            kind: column(row, 3)?,
-            digest: column(row, 4)?,
-            build: column(row, 5)?,
-            facts_at: column(row, 6)?,
-            poses_at: column(row, 7)?,
-            format: column(row, 8)?,
-            payload: column(row, 9)?,
-        };
-        check_format(read.format)?;
-        let expected: Vec<u8> = column(row, 10)?;
-        if read.checksum() != expected {
-            return Err(StoreError::Damaged(format!(
-                "commit {} does not have the checksum that it was written with",
-                read.sequence
-            )));
-        }
-        Ok(read)
-    }
-
-    pub fn into_commit(self) -> Result<Commit, StoreError> {
-        let record = LoggedCommit::read(&self.payload)
-            .map_err(|e| StoreError::Damaged(format!("commit {} cannot be read: {e}", self.sequence)))?;
-        Ok(Commit {
-            sequence: unsigned(self.sequence)?,
-            revision: unsigned(self.revision)?,
-            digest: self.digest,
-            build: self.build,
-            facts_at: unsigned(self.facts_at)?,
-            poses_at: unsigned(self.poses_at)?,
-            record,
-        })
-    }
+    let unread = |e| StoreError::Damaged(format!("commit {sequence} cannot be read: {e}"));
+    commit.record = LoggedCommit::read(&payload).map_err(unread)?;
+    Ok((commit, payload))
 }
 
 /// Refuses records of a later version.
@@ -349,6 +301,25 @@ where
 {
     row.try_get(index)
         .map_err(|e| StoreError::Damaged(format!("a row cannot be read: {e}")))
+}
+
+/// A query of the database.
+pub(super) type Statement<'q> = Query<'q, sqlx::Any, AnyArguments>;
+
+/// Why the database could not be read.
+pub(super) fn unreadable(error: sqlx::Error) -> StoreError {
+    match error {
+        // What the database says of it is the operator's alone.
+        sqlx::Error::ColumnDecode { .. } | sqlx::Error::Decode(_) => {
+            tracing::error!("the store of sessions: {error}");
+            StoreError::Damaged("a row cannot be read".into())
+        }
+        error if error.to_string().contains("malformed") => {
+            tracing::error!("the store of sessions: {error}");
+            StoreError::Damaged("the database file is damaged".into())
+        }
+        error => StoreError::Unavailable(error.to_string()),
+    }
 }
 
 /// A number as databases hold it. Those of sessions never come near the limit.

@@ -1,4 +1,4 @@
-//! The traits through which sessions use a store, with their values and errors.
+//! What sessions write to a store and read from it, and the errors of a store.
 //!
 //! Several nodes may share a store. A session's row names the node that has it, and the number of that ownership: its
 //! generation, which grows each time that another node takes the session. A write of a session succeeds only while the
@@ -11,11 +11,8 @@ use crate::answers::Tenant;
 use crate::audit::audit_entry::AuditEntry;
 use crate::error::OwnerAddress;
 use crate::error::{Error, ErrorCode};
-use bytes::Bytes;
-use futures::future::BoxFuture;
 use pliant_asset::FileSet;
 use pliant_wire::record::{LoggedCommit, RecordedModel};
-use std::collections::BTreeMap;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// Why a store did not do what was asked.
@@ -66,16 +63,13 @@ impl From<StoreError> for Error {
     }
 }
 
-/// The answer of a store, to come.
-pub type Stored<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
-
 /// The number of an ownership. 0 where one process has the store for itself: nothing is compared then.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub struct Generation(pub u64);
 
 /// A session that this node has.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct HeldSession {
+pub(crate) struct HeldSession {
     /// Its id.
     pub id: String,
     /// The ownership.
@@ -114,7 +108,7 @@ pub struct NodeLoad {
 
 /// Whose a session is.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum SessionClaim {
+pub(crate) enum SessionClaim {
     /// This node's, from now on.
     Here(Generation),
     /// Another node's; with `is_leaving` it is about to be given back.
@@ -128,31 +122,9 @@ pub enum SessionClaim {
     Missing,
 }
 
-/// How a node of several takes sessions.
-pub trait SessionOwnership: Send + Sync + std::fmt::Debug {
-    /// This node.
-    fn node(&self) -> &NodeIdentity;
-    /// Renews the lease. False when it had run out before: others may have taken sessions meanwhile.
-    fn beat(&self, load: NodeLoad) -> Stored<'_, bool>;
-    /// The sessions that are this node's.
-    fn held(&self) -> Stored<'_, BTreeMap<String, Generation>>;
-    /// Takes a free session, or returns who has it.
-    fn claim(&self, tenant: Tenant, id: String) -> Stored<'_, SessionClaim>;
-    /// Takes an expired session; `None` where it is not expired, or another node has it.
-    fn claim_expired(&self, tenant: Tenant, id: String, since_ms: u64, now_ms: u64) -> Stored<'_, Option<Generation>>;
-    /// Gives a session back, last used at `used_ms`.
-    fn release(&self, session: HeldSession, used_ms: u64) -> Stored<'_, ()>;
-    /// The number of the next session to be created.
-    fn next_number(&self) -> Stored<'_, u64>;
-    /// The nodes with a lease that take sessions, by their names.
-    fn nodes(&self) -> Stored<'_, Vec<(OwnerAddress, NodeLoad)>>;
-    /// Removes objects that no session has named for a long time.
-    fn remove_loose_objects(&self) -> Stored<'_, ()>;
-}
-
 /// An idempotency key whose answer is a commit's.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct LoggedKey {
+pub(crate) struct LoggedKey {
     /// Whose key it is.
     pub tenant: Tenant,
     /// The key.
@@ -167,19 +139,28 @@ pub struct LoggedKey {
     pub at_ms: u64,
 }
 
-/// A session to be kept, with its first commit.
-#[derive(Debug, Clone)]
-pub struct NewSession {
+/// Which session it is, whose, and for how long.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct SessionRecord {
     /// Its id.
     pub id: String,
     /// Whose it is.
     pub tenant: Tenant,
     /// Sessions are numbered in the order of their creation.
     pub number: u64,
+    /// What its owner calls it.
+    pub label: String,
     /// When it was opened, in milliseconds since 1970.
     pub created_ms: u64,
     /// How long it outlives its last use.
     pub ttl: Duration,
+}
+
+/// A session to be kept, with its first commit.
+#[derive(Debug, Clone)]
+pub(crate) struct NewSession {
+    /// Which session it is.
+    pub record: SessionRecord,
     /// How its model was opened; the store fills in the names of the files.
     pub model: RecordedModel,
     /// The files.
@@ -190,7 +171,7 @@ pub struct NewSession {
 
 /// A commit of a session.
 #[derive(Debug, Clone)]
-pub struct Commit {
+pub(crate) struct Commit {
     /// Commits of a session are numbered from 0, undo and redo among them.
     pub sequence: u64,
     /// The session's revision after it.
@@ -209,7 +190,7 @@ pub struct Commit {
 
 /// A commit to be stored.
 #[derive(Debug, Clone)]
-pub struct NewCommit {
+pub(crate) struct NewCommit {
     /// Its session, with the current ownership.
     pub session: HeldSession,
     /// The commit; the store fills in the names of the files.
@@ -224,7 +205,7 @@ pub struct NewCommit {
 
 /// The newest shape that is kept of a session.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct StoredSnapshot {
+pub(crate) struct StoredSnapshot {
     /// The shape is the one after this commit.
     pub sequence: u64,
     /// The object that holds it.
@@ -233,17 +214,9 @@ pub struct StoredSnapshot {
 
 /// A session that was kept.
 #[derive(Debug, Clone)]
-pub struct StoredSession {
-    /// As in [`NewSession`].
-    pub id: String,
-    /// As in [`NewSession`].
-    pub tenant: Tenant,
-    /// As in [`NewSession`].
-    pub number: u64,
-    /// As in [`NewSession`].
-    pub created_ms: u64,
-    /// As in [`NewSession`].
-    pub ttl: Duration,
+pub(crate) struct StoredSession {
+    /// Which session it is.
+    pub record: SessionRecord,
     /// Its last use, in milliseconds since 1970.
     pub used_ms: u64,
     /// As in [`NewSession`].
@@ -256,17 +229,11 @@ pub struct StoredSession {
 
 /// A session as a list shows it.
 #[derive(Debug, Clone)]
-pub struct ListedSession {
-    /// As in [`NewSession`].
-    pub id: String,
-    /// As in [`NewSession`].
-    pub created_ms: u64,
-    /// As in [`NewSession`].
-    pub ttl: Duration,
+pub(crate) struct ListedSession {
+    /// Which session it is.
+    pub record: SessionRecord,
     /// As in [`StoredSession`].
     pub used_ms: u64,
-    /// Its label.
-    pub label: String,
     /// Its newest commit.
     pub newest: Commit,
     /// The commit whose facts hold.
@@ -294,86 +261,26 @@ pub struct StoredFacts {
 
 /// When a session was used last.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct UsedSession {
+pub(crate) struct UsedSession {
     /// The session.
     pub session: HeldSession,
     /// In milliseconds since 1970.
     pub used_ms: u64,
 }
 
-/// Stored sessions, to be read.
-pub trait ReadSessions: Send + Sync + std::fmt::Debug + 'static {
-    /// Which build and processor makes results now.
-    fn build(&self) -> String;
-    /// How nodes that share the store take sessions; `None` where one process has it for itself.
-    fn ownership(&self) -> Option<&dyn SessionOwnership> {
-        None
-    }
-    /// Whether the store takes writes: false from a write that failed until one works again.
-    fn takes_writes(&self) -> bool {
-        false
-    }
-    /// The same store, to be written.
-    ///
-    /// # Errors
-    /// [`StoreError::Refused`] for a store that is open to be read only.
-    fn writable(&self) -> Result<&dyn KeepSessions, StoreError> {
-        Err(StoreError::Refused("the store is only looked at".into()))
-    }
-    /// Reads a session with all its commits; `None` when the tenant has none of that id.
-    fn load(&self, tenant: Tenant, id: String) -> Stored<'_, Option<StoredSession>>;
-    /// Reads one commit.
-    fn commit(&self, session: String, sequence: u64) -> Stored<'_, Option<Commit>>;
-    /// Whether the tenant has a session of that id.
-    fn holds(&self, tenant: Tenant, id: String) -> Stored<'_, bool>;
-    /// Lists a tenant's sessions by rising number, above `after`, at most `most`; of one that is damaged the number alone.
-    fn list(&self, tenant: Tenant, after: u64, most: usize) -> Stored<'_, Vec<(u64, Option<ListedSession>)>>;
-    /// Reads an object.
-    fn object(&self, name: String) -> Stored<'_, Bytes>;
-    /// How many sessions each tenant has.
-    fn sessions_by_tenant(&self) -> Stored<'_, Vec<(Tenant, u64)>>;
-    /// Bytes that a tenant's sessions hold: their records and the objects that they name, one that several name for each of them.
-    fn stored_bytes(&self, tenant: Tenant) -> Stored<'_, u64>;
-    /// How many sessions a tenant has.
-    fn count_sessions(&self, tenant: Tenant) -> Stored<'_, u64>;
-    /// The highest number of any session.
-    fn highest_number(&self) -> Stored<'_, u64>;
-}
-
-/// Stored sessions, to be written too. What returns `Ok` is on disk; what returns an error has changed nothing that is ever read again.
-pub trait KeepSessions: ReadSessions {
-    /// Keeps a new session, which is this process's then.
-    fn create(&self, session: NewSession) -> Stored<'_, Generation>;
-    /// Keeps a commit.
-    fn append(&self, commit: NewCommit) -> Stored<'_, ()>;
-    /// Keeps a shape as the newest of a session.
-    fn save_snapshot(&self, session: HeldSession, sequence: u64, shape: Bytes) -> Stored<'_, ()>;
-    /// Replaces digests, by the numbers of commits, by those of `build`.
-    fn rerecord_digests(&self, session: HeldSession, build: String, digests: Vec<(u64, String)>) -> Stored<'_, ()>;
-    /// Deletes a session and what only it used, and notes who did.
-    fn delete(&self, audit: AuditEntry, generation: Generation) -> Stored<'_, ()>;
-    /// Notes when sessions were used.
-    fn note_use(&self, sessions: Vec<UsedSession>) -> Stored<'_, ()>;
-    /// The sessions that are expired at `now_ms`, with their tenants.
-    fn expired(&self, since_ms: u64, now_ms: u64) -> Stored<'_, Vec<(Tenant, String)>>;
-    /// A key that is kept.
-    fn key(&self, tenant: Tenant, key: String) -> Stored<'_, Option<LoggedKey>>;
-    /// The keys that are kept, oldest first.
-    fn keys(&self) -> Stored<'_, Vec<LoggedKey>>;
-    /// Forgets keys from before `before_ms`.
-    fn forget_keys(&self, before_ms: u64) -> Stored<'_, ()>;
-    /// Notes who did what.
-    fn audit(&self, entry: AuditEntry) -> Stored<'_, ()>;
-    /// The tenants of whom anything is noted.
-    fn audited_tenants(&self) -> Stored<'_, Vec<Tenant>>;
-    /// Forgets what was noted of a tenant before `before_ms`.
-    fn forget_audit_of(&self, tenant: Tenant, before_ms: u64) -> Stored<'_, ()>;
-}
-
 /// Milliseconds since 1970.
 pub fn now_ms() -> u64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
+    millis(SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default())
+}
+
+/// The whole milliseconds of a time.
+pub(crate) fn millis(time: Duration) -> u64 {
+    u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
+}
+
+/// When something was used so long ago, in milliseconds since 1970.
+pub(crate) fn ms_ago(ago: Duration) -> u64 {
+    now_ms().saturating_sub(millis(ago))
 }
 
 /// Milliseconds since 1970 on the calendar (RFC 3339, UTC).

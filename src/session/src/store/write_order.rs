@@ -1,11 +1,12 @@
 //! What is written, statement by statement. The writer decides what goes into one transaction.
 
-use super::schema::{CommitRow, RECORD_FORMAT, checksum, column, signed};
-use super::session_store::{Generation, HeldSession, NewCommit, NewSession, StoreError, UsedSession, now_ms};
+use super::schema::{RECORD_FORMAT, Statement, checksum, column, commit_checksum, signed};
+use super::session_store::{
+    Commit, Generation, HeldSession, NewCommit, NewSession, SessionRecord, StoreError, UsedSession, millis, now_ms,
+};
 use crate::answers::Tenant;
 use crate::audit::audit_entry::AuditEntry;
 use sqlx::AnyConnection;
-use sqlx::query::Query;
 
 /// An object that a session uses.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -36,10 +37,10 @@ pub(super) enum WriteOrder {
         sequence: u64,
         shape: StoredObject,
     },
-    /// Digests of another build.
+    /// Commits with digests of another build, and the checksums of their rows.
     RerecordDigests {
         session: HeldSession,
-        commits: Vec<CommitRow>,
+        commits: Vec<(Commit, Vec<u8>)>,
     },
     /// A session ends.
     Delete { audit: AuditEntry, generation: Generation },
@@ -58,8 +59,6 @@ pub(super) enum WriteOrder {
     /// A row is written as it is, to see whether rows can be written.
     Touch,
 }
-
-type Statement<'q> = Query<'q, sqlx::Any, sqlx::any::AnyArguments>;
 
 async fn execute(statement: Statement<'_>, on: &mut AnyConnection) -> Result<u64, StoreError> {
     let done = statement.execute(on).await;
@@ -96,7 +95,7 @@ impl WriteOrder {
             } => {
                 refuse_repeated(&session.first, owner, on).await?;
                 create_session(session, model, owner, on).await?;
-                append_commit(&session.first, objects, session.created_ms, on).await?;
+                append_commit(&session.first, objects, session.record.created_ms, on).await?;
             }
             Self::Append { commit, objects } => append_commit(commit, objects, now_ms(), on).await?,
             Self::SaveSnapshot {
@@ -114,11 +113,11 @@ impl WriteOrder {
                 if !still_has(session, on).await? {
                     return Err(StoreError::Moved);
                 }
-                for row in commits {
+                for (commit, sum) in commits {
                     let update = "UPDATE commits SET digest = $3, build = $4, checksum = $5
                         WHERE session = $1 AND sequence = $2";
-                    let update = sqlx::query(update).bind(&row.session).bind(row.sequence);
-                    execute(update.bind(&row.digest).bind(&row.build).bind(row.checksum()), on).await?;
+                    let update = sqlx::query(update).bind(&session.id).bind(signed(commit.sequence));
+                    execute(update.bind(&commit.digest).bind(&commit.build).bind(&sum[..]), on).await?;
                 }
             }
             Self::Delete { audit, generation } => {
@@ -232,19 +231,22 @@ async fn create_session(
     owner: &str,
     on: &mut AnyConnection,
 ) -> Result<(), StoreError> {
-    let tenant = &*session.tenant.0;
+    let SessionRecord {
+        id,
+        tenant,
+        number,
+        ttl,
+        ..
+    } = &session.record;
+    let tenant = &*tenant.0;
     let insert = "INSERT INTO tenants (tenant, created_ms) VALUES ($1, $2) ON CONFLICT (tenant) DO NOTHING";
     execute(sqlx::query(insert).bind(tenant).bind(signed(now_ms())), on).await?;
-    let (number, ttl) = (signed(session.number), millis(session.ttl));
-    let sum = session_checksum(&session.id, tenant, model, [number, ttl]);
+    let (number, ttl) = (signed(*number), signed(millis(*ttl)));
+    let sum = session_checksum(id, tenant, model, [number, ttl]);
     let insert =
         "INSERT INTO sessions (id, tenant, number, ttl_ms, used_ms, newest, format, model, checksum, record_bytes, owner, generation)
         VALUES ($1, $2, $3, $4, $5, 0, $6, $7, $8, $9, $10, $11)";
-    let insert = sqlx::query(insert)
-        .bind(&session.id)
-        .bind(tenant)
-        .bind(number)
-        .bind(ttl);
+    let insert = sqlx::query(insert).bind(id).bind(tenant).bind(number).bind(ttl);
     let insert = insert.bind(signed(now_ms())).bind(RECORD_FORMAT);
     let insert = insert.bind(model).bind(sum);
     let insert = insert.bind(signed(model.len() as u64)).bind(owner);
@@ -253,26 +255,22 @@ async fn create_session(
         .map(drop)
 }
 
-/// Milliseconds of a time to live.
-fn millis(span: std::time::Duration) -> i64 {
-    i64::try_from(span.as_millis()).unwrap_or(i64::MAX)
-}
-
 /// Writes a commit that was made at `at_ms`; of the first one that is when the session was opened.
 async fn append_commit(
-    commit: &NewCommit,
+    new: &NewCommit,
     objects: &[StoredObject],
     at_ms: u64,
     on: &mut AnyConnection,
 ) -> Result<(), StoreError> {
-    let (row, now) = (CommitRow::of(commit), signed(at_ms));
+    let (HeldSession { id, generation }, commit, now) = (&new.session, &new.commit, signed(at_ms));
+    let (payload, kind, sequence) = (commit.record.write(), commit.record.kind(), signed(commit.sequence));
     // First of all: the row is this writer's until the transaction ends, or nothing is written.
     let newest = "UPDATE sessions SET newest = $2, used_ms = $3, record_bytes = record_bytes + $4
         WHERE id = $1 AND ($5 = 0 OR generation = $5)";
-    let newest = sqlx::query(newest).bind(&row.session).bind(row.sequence).bind(now);
-    let newest = newest.bind(signed(row.payload.len() as u64));
-    if execute(newest.bind(signed(commit.session.generation.0)), on).await? != 1 {
-        return Err(match commit.session.generation {
+    let newest = sqlx::query(newest).bind(id).bind(sequence).bind(now);
+    let newest = newest.bind(signed(payload.len() as u64));
+    if execute(newest.bind(signed(generation.0)), on).await? != 1 {
+        return Err(match generation {
             Generation(0) => StoreError::Damaged("the session's row is gone".into()),
             _ => StoreError::Moved,
         });
@@ -281,33 +279,25 @@ async fn append_commit(
         (session, sequence, revision, kind, digest, build, facts_at, poses_at, at_ms, format, payload, checksum)
         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12)";
     let insert = sqlx::query(insert)
-        .bind(&row.session)
-        .bind(row.sequence)
-        .bind(row.revision);
-    let insert = insert
-        .bind(&row.kind)
-        .bind(&row.digest)
-        .bind(&row.build)
-        .bind(row.facts_at)
-        .bind(row.poses_at);
-    let insert = insert
-        .bind(now)
-        .bind(row.format)
-        .bind(&row.payload[..])
-        .bind(row.checksum());
-    execute(insert, on).await?;
+        .bind(id)
+        .bind(sequence)
+        .bind(signed(commit.revision));
+    let insert = insert.bind(kind).bind(&commit.digest).bind(&commit.build);
+    let insert = insert.bind(signed(commit.facts_at)).bind(signed(commit.poses_at));
+    let insert = insert.bind(now).bind(RECORD_FORMAT).bind(&payload[..]);
+    execute(insert.bind(commit_checksum(id, kind, commit, &payload)), on).await?;
     for object in objects {
-        use_object(&row.session, object, on).await?;
+        use_object(id, object, on).await?;
     }
-    note_audit(&commit.audit, Some(row.sequence), on).await?;
-    if let Some((tenant, key, fingerprint)) = &commit.key {
+    note_audit(&new.audit, Some(sequence), on).await?;
+    if let Some((tenant, key, fingerprint)) = &new.key {
         let insert = "INSERT INTO call_keys (tenant, call_key, fingerprint, session, sequence, at_ms)
             VALUES ($1, $2, $3, $4, $5, $6) ON CONFLICT (tenant, call_key) DO UPDATE SET
             fingerprint = excluded.fingerprint, session = excluded.session, sequence = excluded.sequence,
             at_ms = excluded.at_ms";
         let insert = sqlx::query(insert).bind(&*tenant.0).bind(key);
-        let insert = insert.bind(fingerprint.to_le_bytes().to_vec()).bind(&row.session);
-        execute(insert.bind(row.sequence).bind(now), on).await?;
+        let insert = insert.bind(fingerprint.to_le_bytes().to_vec()).bind(id);
+        execute(insert.bind(sequence).bind(now), on).await?;
     }
     Ok(())
 }

@@ -346,7 +346,7 @@ async fn write_together(
                 // Another node may be about to name them again: they go when no node has for long.
                 if is_shared {
                     for object in std::mem::take(&mut unnamed) {
-                        note_loose(&object, &mut transaction).await?;
+                        note_loose(&object, &mut *transaction).await?;
                     }
                 }
                 Ok(unnamed)

@@ -13,13 +13,6 @@ use pliant_wire::StreamRequest;
 use std::sync::Arc;
 use std::task::Poll;
 
-/// One interactive deform stream. Dropping it stops its solve within one cycle and frees its place.
-#[derive(Debug)]
-pub struct DeformStream {
-    input: StreamInput,
-    output: StreamOutput,
-}
-
 /// Where requests go in. Dropping it means [`StreamInput::finish`].
 #[derive(Debug)]
 pub struct StreamInput {
@@ -39,37 +32,30 @@ pub struct StreamOutput {
     _place: TenantStream,
 }
 
-impl DeformStream {
-    pub(crate) fn new(
-        mailbox: Arc<Mailbox>,
-        session: Arc<OpenSession>,
-        metrics: Arc<Metrics>,
-        held: MemoryReservation,
-        inside: CallGuard,
-        place: TenantStream,
-    ) -> Self {
-        metrics.streams.inc();
-        Self {
-            input: StreamInput {
-                mailbox: Arc::clone(&mailbox),
-            },
-            output: StreamOutput {
-                mailbox,
-                session,
-                packer: FramePacker::default(),
-                ended: false,
-                metrics,
-                held,
-                _inside: inside,
-                _place: place,
-            },
-        }
-    }
-
-    /// The two ends, for a transport that reads and writes in different places.
-    pub fn split(self) -> (StreamInput, StreamOutput) {
-        (self.input, self.output)
-    }
+/// The two ends of a stream of a session.
+pub(crate) fn stream_ends(
+    mailbox: Arc<Mailbox>,
+    session: Arc<OpenSession>,
+    metrics: Arc<Metrics>,
+    held: MemoryReservation,
+    inside: CallGuard,
+    place: TenantStream,
+) -> (StreamInput, StreamOutput) {
+    metrics.streams.inc();
+    let input = StreamInput {
+        mailbox: Arc::clone(&mailbox),
+    };
+    let output = StreamOutput {
+        mailbox,
+        session,
+        packer: FramePacker::default(),
+        ended: false,
+        metrics,
+        held,
+        _inside: inside,
+        _place: place,
+    };
+    (input, output)
 }
 
 impl StreamInput {

@@ -2,16 +2,15 @@
 
 use crate::animation::frame_outbox::PreparedAnimation;
 use crate::animation::frame_outbox::StageReporter;
-use crate::answers::{CarriedAlong, CommittedPose, ExportedModel};
+use crate::answers::{CommittedPose, ExportedModel};
 use crate::calls::command::{
     CallOrigin, ExportModel, HandleChange, HistoryDirection, PrepareAnimation, QueuedCall, RecallPose, SessionCommand,
     TaskCall, WorkOrder,
 };
-use crate::calls::model_opening::memory_needed;
+use crate::calls::model_opening::{count_refusal, memory_needed, no_place};
 use crate::capacity::compute_slots::WorkLane;
 use crate::capacity::memory_ledger::MemoryShortage;
 use crate::capacity::work_watch::{Work, WorkKind, WorkWatch};
-use crate::engine::Engine;
 use crate::error::{Error, ErrorCode};
 use crate::history::loaded_deformer::{LoadedDeformer, PoseAnswer};
 use crate::history::session_state::{CommittedHandles, SessionState, ShapeRecipe};
@@ -21,10 +20,9 @@ use crate::stream::frame_window::FrameContext;
 use crate::task::session_task::{SessionTask, no_handles};
 use glam::DVec3;
 use pliant_core::engine;
-use pliant_core::engine::{ClipSource, ModelShape, TopologyState};
+use pliant_core::engine::{Animation, ClipSource, Deformer, ModelShape, TopologyState};
 use pliant_exec::Exec;
 use pliant_exec::progress::Progress as _;
-use pliant_mesh::carry::CarriedFrame;
 use pliant_wire::record::LoggedCommit;
 use pliant_wire::{CarryOrder, DeformOptions, PoseCommit, SessionEdit, pb};
 use std::sync::Arc;
@@ -42,16 +40,12 @@ const FEW_TRIANGLES: u32 = 10_000;
 
 /// The lane of a commit with such options: counting crossings may compare each triangle with each.
 pub(crate) fn lane_of_commit(state: &SessionState, options: &DeformOptions) -> WorkLane {
-    let is_light = !options.output.self_intersections || state.triangles() <= FEW_TRIANGLES;
-    match is_light {
-        true => WorkLane::Interactive,
-        false => WorkLane::Builds,
-    }
+    lane_of_work(!options.output.self_intersections || state.triangles() <= FEW_TRIANGLES)
 }
 
-/// The lane of work that sets handles of a cost.
-fn lane_of_cost(cost: u64) -> WorkLane {
-    match cost <= LIGHT_HANDLES {
+/// The lane of work that is a moment's, or not.
+fn lane_of_work(is_light: bool) -> WorkLane {
+    match is_light {
         true => WorkLane::Interactive,
         false => WorkLane::Builds,
     }
@@ -106,7 +100,7 @@ impl SessionTask {
     pub fn lane_with_handles(&self, lane: WorkLane, state: &SessionState, handles: &CommittedHandles) -> WorkLane {
         let is_loaded = self.deformer.as_ref().is_some_and(|d| d.has_loaded(handles.id));
         match is_loaded {
-            false if lane_of_cost(state.cost_of_handles(&handles.set)) == WorkLane::Builds => WorkLane::Builds,
+            false if state.cost_of_handles(&handles.set) > LIGHT_HANDLES => WorkLane::Builds,
             _ => lane,
         }
     }
@@ -140,7 +134,7 @@ impl RunCall for HandleChange {
         let set = self.apply_to(&state.handles.set, &state.poses)?;
         let limit = task.shared.config.build;
         let topology = state.topology.clone();
-        let lane = lane_of_cost(state.cost_of_handles(&set));
+        let lane = lane_of_work(state.cost_of_handles(&set) <= LIGHT_HANDLES);
         let (poses, facts, stages) = loop {
             let room = task.memory.room();
             let (set, topology) = (set.clone(), topology.clone());
@@ -165,12 +159,7 @@ impl RunCall for HandleChange {
         task.shared.metrics.observe_stages(&stages);
         task.build_ms.extend(stages);
         task.history.commit_handles(set, poses, facts);
-        if let Some(deformer) = &mut task.deformer {
-            deformer.adopt_handles(task.history.current().handles.id);
-        }
-        task.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
-        task.shared.metrics.commits.inc();
-        task.publish_view();
+        task.adopt_new_handles();
         Ok(task.session.describe())
     }
 }
@@ -231,8 +220,7 @@ impl RunCall for HistoryDirection {
             .ok_or_else(nothing)?;
         task.keep_step(self, index, origin.claim.as_ref()).await?;
         task.history.go_to_commit(index, shape);
-        task.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
-        task.publish_view();
+        task.publish_other_handles();
         Ok(task.session.describe())
     }
 }
@@ -246,29 +234,24 @@ impl RunCall for RecallPose {
 }
 
 impl RunCall for CarryOrder {
-    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<CarriedAlong, Error> {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<pb::CarryResponse, Error> {
         let view = task.session.view();
         let limit = task.shared.config.build;
         let positions = Arc::clone(&view.positions);
         let topology = task.history.current().topology.clone();
         let triangles = u64::from(task.history.current().triangles());
         let comparisons = (self.points.len() as u64).saturating_mul(triangles);
-        let lane = match self.model.is_none() && comparisons <= FEW_COMPARISONS {
-            true => WorkLane::Interactive,
-            false => WorkLane::Builds,
-        };
+        let lane = lane_of_work(self.model.is_none() && comparisons <= FEW_COMPARISONS);
         let (carried, watch) = task
             .compute(origin.order(WorkKind::Carry, lane, limit), move |deformer, work| {
                 let exec = work.exec();
                 deformer.go_to_topology(topology.as_ref(), &exec)?;
-                carry_order_along(deformer.engine.as_ref(), &positions, self, &exec)
+                carry_order_along(deformer.deformer("carrying")?, &positions, self, &exec)
             })
             .await?;
-        let (frames, model) = carried.map_err(|e| task.failure(e, &watch))?;
-        Ok(CarriedAlong {
+        Ok(pb::CarryResponse {
             revision: view.revision,
-            frames,
-            model,
+            ..carried.map_err(|e| task.failure(e, &watch))?
         })
     }
 }
@@ -299,25 +282,31 @@ impl RunCall for ExportModel {
     }
 }
 
-/// Carries points and another model along with a shape.
+/// Carries points and another model along with a shape; the answer without its revision.
 fn carry_order_along(
-    engine: &dyn Engine,
+    deformer: &Deformer,
     positions: &[DVec3],
     order: CarryOrder,
     exec: &Exec<'_>,
-) -> Result<(Vec<CarriedFrame>, Vec<u8>), engine::Error> {
+) -> Result<pb::CarryResponse, engine::Error> {
     let mut frames = Vec::new();
     if !order.points.is_empty() {
-        frames = engine.carry_points(positions, &order.points, exec)?;
+        frames = deformer.carry_points(positions, &order.points, exec)?;
         for (frame, at_rest) in frames.iter_mut().zip(order.rotations) {
             frame.rotation *= at_rest;
         }
     }
     let model = match order.model {
-        Some(model) => engine.carry_model(positions, model, exec)?.main,
+        Some(model) => deformer.carry_model(positions, model, exec)?.main,
         None => Vec::new(),
     };
-    Ok((frames, model))
+    Ok(pb::CarryResponse {
+        points: frames.iter().flat_map(|f| f.position.to_array()).collect(),
+        rotations: frames.iter().flat_map(|f| f.rotation.to_array()).collect(),
+        scales: frames.iter().map(|f| f.scale).collect(),
+        model: model.into(),
+        ..pb::CarryResponse::default()
+    })
 }
 
 impl SessionTask {
@@ -325,16 +314,30 @@ impl SessionTask {
     pub fn memory_failure(&self, error: engine::Error, room: u64, watch: &WorkWatch) -> Error {
         match memory_needed(&error, room).filter(|needed| *needed <= self.shared.ledger.total()) {
             Some(needed) => {
-                self.shared.metrics.refused.inc();
                 let shortage = self.memory.shortage(needed);
                 let text = format!(
                     "the session would need {needed} bytes of memory, and {shortage}; {} of them are the session's own",
                     self.memory.bytes()
                 );
-                Error::exhausted(text, 5)
+                count_refusal(&self.shared, no_place(text))
             }
             None => self.failure(error, watch),
         }
+    }
+
+    /// Publishes a change of the handles or of the commit in force: what streams have dragged is void.
+    fn publish_other_handles(&mut self) {
+        self.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
+        self.publish_view();
+    }
+
+    /// The same after a commit whose handles the deformer has already.
+    fn adopt_new_handles(&mut self) {
+        if let Some(deformer) = &mut self.deformer {
+            deformer.adopt_handles(self.history.current().handles.id);
+        }
+        self.shared.metrics.commits.inc();
+        self.publish_other_handles();
     }
 
     /// Whether a change that found too little memory free may try again, because idle sessions have left it meanwhile.
@@ -379,12 +382,7 @@ impl RunCall for SessionEdit {
         task.keep_edit(kept_edit, &edited, &shape, &report, origin.claim.as_ref())
             .await?;
         task.history.commit_edit(edited, shape);
-        if let Some(deformer) = &mut task.deformer {
-            deformer.adopt_handles(task.history.current().handles.id);
-        }
-        task.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
-        task.shared.metrics.commits.inc();
-        task.publish_view();
+        task.adopt_new_handles();
         report.revision = task.history.revision();
         report.ms = ms;
         Ok(report)
@@ -405,9 +403,8 @@ impl RunCall for PrepareAnimation {
             let needed = (bytes.len() as u64).saturating_mul(BYTES_PER_CLIP_BYTE);
             let reserved = task.memory.grow_to(task.memory.bytes().saturating_add(needed));
             reserved.map_err(|shortage| {
-                task.shared.metrics.refused.inc();
                 let text = format!("reading the clip would need {needed} bytes of memory, and {shortage}");
-                Error::exhausted(text, 5)
+                count_refusal(&task.shared, no_place(text))
             })?;
         }
         let (prepared, watch) = task
@@ -420,7 +417,7 @@ impl RunCall for PrepareAnimation {
                     };
                     let exec = &Exec::new(work.pool, &reporter);
                     deformer.go_to_topology(topology.as_ref(), exec)?;
-                    let prepared = deformer.engine.prepare_animation(&order.request, &limits, exec);
+                    let prepared = Animation::prepare(deformer.deformer("animating")?, &order.request, &limits, exec);
                     let animation = prepared.map_err(|e| pliant_wire::of_rig(e.into()))?;
                     let is_shaded = order.output.normals || order.output.tangents;
                     let shader = is_shaded.then(|| deformer.shader());

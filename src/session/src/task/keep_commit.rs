@@ -160,11 +160,7 @@ impl SessionTask {
             key: claim.map(KeyClaim::logged),
             audit,
         };
-        let stored = match kept.store.writable() {
-            Ok(store) => store.append(new).await,
-            Err(error) => Err(error),
-        };
-        if let Err(error) = stored {
+        if let Err(error) = kept.store.append(new).await {
             self.shared.metrics.store_failures.inc();
             tracing::error!(session.id = %self.session.id, "a commit could not be stored: {error}");
             if error == StoreError::Moved {
@@ -198,7 +194,7 @@ impl SessionTask {
             let Ok(shape) = shared.compute.offload(move || write_shape(&positions)).await else {
                 return;
             };
-            if let Ok(store) = store.writable()
+            if store.is_writable()
                 && let Err(error) = store.save_snapshot(held, at, shape).await
             {
                 tracing::warn!("a shape could not be stored, its commits can: {error}");
@@ -216,7 +212,7 @@ impl SessionTask {
         let positions = Arc::clone(&self.session.view().positions);
         let shape = self.shared.compute.offload(move || write_shape(&positions)).await?;
         let store = Arc::clone(&kept.store);
-        if let Ok(store) = store.writable() {
+        if store.is_writable() {
             store.save_snapshot(self.session.held.clone(), at, shape).await?;
         }
         kept.shape_at = at;
@@ -241,7 +237,7 @@ impl SessionTask {
         let kept = self.kept.as_ref().ok_or_else(damaged)?;
         let at = kept.place(revision).shape_at;
         let (store, id, build) = (Arc::clone(&kept.store), self.session.id.clone(), kept.build.clone());
-        let stored = store.commit(id, at).await?.ok_or_else(damaged)?;
+        let stored = store.commit(&id, at).await?.ok_or_else(damaged)?;
         let is_close = || match &stored.record {
             LoggedCommit::Pose { probe, .. } | LoggedCommit::Edit { probe, .. } => {
                 probe.is_close_to(&shape.positions, OTHER_BUILD * diagonal)
@@ -249,10 +245,10 @@ impl SessionTask {
             _ => true,
         };
         check_digest(&stored, now, stored.build == build, is_close)?;
-        if let Ok(store) = store.writable() {
+        if store.is_writable() {
             let digests = vec![(at, now.to_owned())];
             store
-                .rerecord_digests(self.session.held.clone(), build, digests)
+                .rerecord_digests(self.session.held.clone(), &build, digests)
                 .await?;
         }
         self.history.record_digest(index, now);
@@ -291,7 +287,7 @@ impl SessionTask {
                 };
                 let kept = self.kept.as_ref().ok_or_else(answer_of_another_call)?;
                 let store = Arc::clone(&kept.store);
-                let stored = store.commit(session, sequence).await?.ok_or_else(gone)?;
+                let stored = store.commit(&session, sequence).await?.ok_or_else(gone)?;
                 let LoggedCommit::Pose { frame: Some(frame), .. } = stored.record else {
                     return Err(answer_of_another_call());
                 };

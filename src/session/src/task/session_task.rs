@@ -20,7 +20,7 @@ use crate::keeping::kept_session::{KeptSession, MemoryState};
 use crate::quota::tenant_account::TenantSession;
 use crate::registry::{OpenSession, SessionView};
 use crate::shared::SharedResources;
-use crate::store::now_ms;
+use crate::store::ms_ago;
 use crate::stream::mailbox::{Mailbox, WaitingPose};
 use pliant_core::engine;
 use pliant_exec::progress::Progress as _;
@@ -115,11 +115,7 @@ impl SessionTask {
         self.session.close(Error::no_session(&id));
         shared.registry.remove(&id);
         if let Some(store) = &shared.store {
-            let deleted = match store.writable() {
-                Ok(store) => store.delete(self.expiry(), self.session.held.generation).await,
-                Err(error) => Err(error),
-            };
-            match deleted {
+            match store.delete(self.expiry(), self.session.held.generation).await {
                 Ok(()) => self.place.account().uncount_session(),
                 Err(error) => tracing::warn!(session.id = %id, "an expired session is still in the store: {error}"),
             }
@@ -279,21 +275,7 @@ impl SessionTask {
 
     /// Publishes the state.
     pub fn publish_view(&mut self) {
-        let state = self.history.current();
-        // The current shape is always at hand; `go_to_commit` and the commits see to it.
-        let shape = self.history.shape(state.shape);
-        let positions = shape.map(|s| s.positions).unwrap_or_default();
-        let view = SessionView {
-            revision: self.history.revision(),
-            facts: facts_of(state),
-            handles: Arc::clone(&state.handles),
-            poses: state.poses.clone(),
-            build_ms: self.build_ms.clone(),
-            positions,
-            digest: state.digest.clone(),
-            history: self.history.show(),
-        };
-        self.session.publish(view);
+        self.session.publish(view_of(&self.history, &self.build_ms));
         self.count_memory();
     }
 
@@ -303,6 +285,23 @@ impl SessionTask {
         let bytes = engine.saturating_add(self.history.byte_size());
         // What work makes it asks for before; what a pose leaves in the solver is little, and counts anyway.
         let _ = self.memory.resize(bytes);
+    }
+}
+
+/// The state that a history is in, as others see it.
+pub(crate) fn view_of(history: &CommitHistory, build_ms: &BTreeMap<String, f64>) -> SessionView {
+    let state = history.current();
+    // The current shape is always at hand; `go_to_commit` and the commits see to it.
+    let shape = history.shape(state.shape);
+    SessionView {
+        revision: history.revision(),
+        facts: facts_of(state),
+        handles: Arc::clone(&state.handles),
+        poses: state.poses.clone(),
+        build_ms: build_ms.clone(),
+        positions: shape.map(|s| s.positions).unwrap_or_default(),
+        digest: state.digest.clone(),
+        history: history.show(),
     }
 }
 
@@ -412,9 +411,8 @@ impl SessionTask {
         let Some(ownership) = self.kept.as_ref().and_then(|kept| kept.store.ownership()) else {
             return;
         };
-        let ago = u64::try_from(self.session.lease.last_use().elapsed().as_millis()).unwrap_or(u64::MAX);
-        let used_ms = now_ms().saturating_sub(ago);
-        if let Err(error) = ownership.release(self.session.held.clone(), used_ms).await {
+        let used_ms = ms_ago(self.session.lease.last_use().elapsed());
+        if let Err(error) = ownership.release(&self.session.held, used_ms).await {
             tracing::warn!(session.id = %self.session.id, "the session stays this node's: {error}");
         }
     }

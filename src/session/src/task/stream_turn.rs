@@ -116,15 +116,15 @@ impl SessionTask {
     /// Works ahead once a frame is out, where that has left much undone. Done whether another pose waits by now or not, so that
     /// frames depend on poses and not on time.
     async fn settle_drag(&mut self, mailbox: &Mailbox) {
-        let is_needed = |deformer: &LoadedDeformer| deformer.engine.is_worth_settling();
-        if !self.deformer.as_ref().is_some_and(is_needed) {
+        let deformer = self.deformer.as_mut().and_then(|loaded| loaded.engine.deformer());
+        if !deformer.is_some_and(|deformer| deformer.is_worth_settling()) {
             return;
         }
         let order = WorkOrder {
             kind: WorkKind::Settle,
             ..turn_order(mailbox, false, self.shared.config.solve)
         };
-        let ran = self.compute(order, |deformer, work| deformer.engine.settle(&work.exec()));
+        let ran = self.compute(order, |loaded, work| loaded.deformer("settling")?.settle(&work.exec()));
         // Nothing is lost where it came to nothing: the next pose begins from the frame that is out.
         match ran.await {
             Ok((Ok(()), _)) => {}

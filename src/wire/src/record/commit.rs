@@ -1,8 +1,8 @@
 //! Commits as a store keeps them.
 
 use super::messages::{
-    CommitKindMessage, CommitMessage, CreationMessage, EditMessage, FilesMessage, FrameMessage, HandlesMessage,
-    PoseMessage, ProbeMessage, SettingsMessage, StepMessage,
+    CommitKindMessage, CommitMessage, CreationMessage, EditMessage, FileReferences, FrameMessage, HandlesMessage,
+    PoseMessage, SettingsMessage, ShapeProbe, StepMessage,
 };
 use crate::frames::{FrameEncoding, FrameOutput};
 use crate::{Error, SessionEdit, handle_pose, handle_pose_message, handle_set, handle_set_message, pb, session_edit};
@@ -10,53 +10,15 @@ use glam::DVec3;
 use pliant_core::engine::{Edit, HandlePose, HandlePoses, HandleSet, SolveSettings};
 use pliant_deform::{FirstPass, FitOrder};
 use prost::Message as _;
-use std::collections::BTreeMap;
 
 /// Places of a shape that are kept to compare it with.
 const PROBES: usize = 32;
-
-/// Files by the names of the objects that hold them.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct FileReferences {
-    /// Name of the main file, as in [`FileSet`](pliant_asset::FileSet).
-    pub name: String,
-    /// The object of the main file.
-    pub main: String,
-    /// The objects of the companions, by the name of each.
-    pub companions: BTreeMap<String, String>,
-}
 
 impl FileReferences {
     /// Every object that is named.
     pub fn objects(&self) -> impl Iterator<Item = &String> {
         std::iter::once(&self.main).chain(self.companions.values())
     }
-
-    pub(super) fn to_message(&self) -> FilesMessage {
-        FilesMessage {
-            name: self.name.clone(),
-            main: self.main.clone(),
-            companions: self.companions.clone(),
-        }
-    }
-
-    pub(super) fn from_message(message: FilesMessage) -> Self {
-        Self {
-            name: message.name,
-            main: message.main,
-            companions: message.companions,
-        }
-    }
-}
-
-/// A few places of a shape: enough to check whether another build or processor, whose results differ in late digits,
-/// made the same shape.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct ShapeProbe {
-    /// Render vertices of the shape.
-    pub vertices: u64,
-    /// Some of them, evenly chosen.
-    pub places: Vec<DVec3>,
 }
 
 impl ShapeProbe {
@@ -67,17 +29,17 @@ impl ShapeProbe {
         let index = |k: usize| if chosen > 1 { k * last / (chosen - 1) } else { 0 };
         Self {
             vertices: positions.len() as u64,
-            places: (0..chosen).map(|k| positions[index(k)]).collect(),
+            places: (0..chosen).flat_map(|k| positions[index(k)].to_array()).collect(),
         }
     }
 
     /// Whether a shape is this one but for `distance` at most.
     pub fn is_close_to(&self, positions: &[DVec3], distance: f64) -> bool {
         let other = Self::of(positions);
-        let near = |(a, b): (&DVec3, &DVec3)| a.distance(*b) <= distance;
-        self.vertices == other.vertices
-            && self.places.len() == other.places.len()
-            && self.places.iter().zip(&other.places).all(near)
+        let places = |probe: &Self| -> Vec<DVec3> { probe.places.chunks_exact(3).map(DVec3::from_slice).collect() };
+        let (own, others) = (places(self), places(&other));
+        let mut pairs = own.iter().zip(&others);
+        self.vertices == other.vertices && own.len() == others.len() && pairs.all(|(a, b)| a.distance(*b) <= distance)
     }
 }
 
@@ -144,6 +106,16 @@ pub enum LoggedCommit {
     },
 }
 
+/// A step to no commit.
+impl Default for LoggedCommit {
+    fn default() -> Self {
+        Self::Step {
+            target: 0,
+            forward: false,
+        }
+    }
+}
+
 impl LoggedCommit {
     /// Its kind as databases and people name it.
     pub fn kind(&self) -> &'static str {
@@ -178,7 +150,7 @@ impl LoggedCommit {
                 poses: pose_messages(poses),
                 settings: Some(settings_message(settings)),
                 warnings: warnings.clone(),
-                probe: Some(probe_message(probe)),
+                probe: Some(probe.clone()),
                 frame: frame.as_deref().map(frame_message),
             }),
             Self::Edit {
@@ -190,12 +162,12 @@ impl LoggedCommit {
                 probe,
             } => CommitKindMessage::Edit(EditMessage {
                 request: Some(edit.request.clone()),
-                files: files.as_ref().map(FileReferences::to_message),
+                files: files.clone(),
                 from_session: matches!(&edit.edit, Edit::Merge(merge) if merge.from_session),
                 report: Some((**report).clone()),
                 poses: pose_messages(poses),
                 facts: Some((**facts).clone()),
-                probe: Some(probe_message(probe)),
+                probe: Some(probe.clone()),
             }),
             &Self::Step { target, forward } => CommitKindMessage::Step(StepMessage { target, forward }),
         };
@@ -221,7 +193,7 @@ impl LoggedCommit {
                 poses: recorded_poses(&pose.poses)?,
                 settings: recorded_settings(&pose.settings.ok_or_else(|| missing("settings"))?)?,
                 warnings: pose.warnings,
-                probe: recorded_probe(pose.probe.unwrap_or_default()),
+                probe: pose.probe.unwrap_or_default(),
                 frame: pose.frame.map(|f| recorded_frame(&f).map(Box::new)).transpose()?,
             },
             CommitKindMessage::Edit(message) => {
@@ -233,11 +205,11 @@ impl LoggedCommit {
                 }
                 Self::Edit {
                     edit: Box::new(edit),
-                    files: message.files.map(FileReferences::from_message),
+                    files: message.files,
                     report: recorded(message.report, "report")?,
                     poses: recorded_poses(&message.poses)?,
                     facts: recorded(message.facts, "facts")?,
-                    probe: recorded_probe(message.probe.unwrap_or_default()),
+                    probe: message.probe.unwrap_or_default(),
                 }
             }
             CommitKindMessage::Step(StepMessage { target, forward }) => Self::Step { target, forward },
@@ -304,20 +276,6 @@ fn recorded_settings(message: &SettingsMessage) -> Result<SolveSettings, Error> 
         },
         ..checked.solve
     })
-}
-
-fn probe_message(probe: &ShapeProbe) -> ProbeMessage {
-    ProbeMessage {
-        vertices: probe.vertices,
-        places: probe.places.iter().flat_map(|p| p.to_array()).collect(),
-    }
-}
-
-fn recorded_probe(message: ProbeMessage) -> ShapeProbe {
-    ShapeProbe {
-        vertices: message.vertices,
-        places: message.places.chunks_exact(3).map(DVec3::from_slice).collect(),
-    }
 }
 
 fn frame_message(frame: &AnsweredFrame) -> FrameMessage {

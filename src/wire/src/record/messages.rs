@@ -7,7 +7,7 @@ use crate::pb;
 #[derive(Clone, PartialEq, prost::Message)]
 pub(super) struct ModelMessage {
     #[prost(message, optional, tag = "1")]
-    pub files: Option<FilesMessage>,
+    pub files: Option<FileReferences>,
     #[prost(message, optional, tag = "2")]
     pub options: Option<pb::CreateOptions>,
     #[prost(string, tag = "3")]
@@ -21,13 +21,16 @@ pub(super) struct ModelMessage {
     pub of_today: bool,
 }
 
-/// A set of files by the names of their objects.
-#[derive(Clone, PartialEq, prost::Message)]
-pub(super) struct FilesMessage {
+/// Files by the names of the objects that hold them.
+#[derive(Clone, PartialEq, Eq, prost::Message)]
+pub struct FileReferences {
+    /// Name of the main file, as in [`FileSet`](pliant_asset::FileSet).
     #[prost(string, tag = "1")]
     pub name: String,
+    /// The object of the main file.
     #[prost(string, tag = "2")]
     pub main: String,
+    /// The objects of the companions, by the name of each.
     #[prost(btree_map = "string, string", tag = "3")]
     pub companions: std::collections::BTreeMap<String, String>,
 }
@@ -81,7 +84,7 @@ pub(super) struct PoseMessage {
     #[prost(message, repeated, tag = "3")]
     pub warnings: Vec<pb::Warning>,
     #[prost(message, optional, tag = "4")]
-    pub probe: Option<ProbeMessage>,
+    pub probe: Option<ShapeProbe>,
     #[prost(message, optional, tag = "5")]
     pub frame: Option<FrameMessage>,
 }
@@ -131,7 +134,7 @@ pub(super) struct EditMessage {
     pub request: Option<pb::EditRequest>,
     /// The files of a merge.
     #[prost(message, optional, tag = "2")]
-    pub files: Option<FilesMessage>,
+    pub files: Option<FileReferences>,
     /// Whether the other model of a merge was that of a session.
     #[prost(bool, tag = "3")]
     pub from_session: bool,
@@ -142,14 +145,17 @@ pub(super) struct EditMessage {
     #[prost(message, optional, tag = "6")]
     pub facts: Option<pb::Session>,
     #[prost(message, optional, tag = "7")]
-    pub probe: Option<ProbeMessage>,
+    pub probe: Option<ShapeProbe>,
 }
 
-/// A few places of a shape.
+/// A few places of a shape: enough to check whether another build or processor, whose results differ in late digits,
+/// made the same shape.
 #[derive(Clone, PartialEq, prost::Message)]
-pub(super) struct ProbeMessage {
+pub struct ShapeProbe {
+    /// Render vertices of the shape.
     #[prost(uint64, tag = "1")]
     pub vertices: u64,
+    /// Some of them, evenly chosen: x, y, z of each in a row.
     #[prost(double, repeated, tag = "2")]
     pub places: Vec<f64>,
 }

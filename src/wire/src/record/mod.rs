@@ -8,5 +8,6 @@ mod commit;
 mod messages;
 mod options;
 
-pub use commit::{AnsweredFrame, FileReferences, LoggedCommit, ShapeProbe};
+pub use commit::{AnsweredFrame, LoggedCommit};
+pub use messages::{FileReferences, ShapeProbe};
 pub use options::RecordedModel;

@@ -1,7 +1,6 @@
 //! How a session's model was opened: the options as a message that reads as the same options, and the files by name.
 
-use super::commit::FileReferences;
-use super::messages::ModelMessage;
+use super::messages::{FileReferences, ModelMessage};
 use crate::pb::create_options::Weights;
 use crate::{Error, open_options, pb};
 use pliant_asset::Format;
@@ -31,7 +30,7 @@ impl RecordedModel {
     /// Writes the record.
     pub fn write(&self) -> Vec<u8> {
         let message = ModelMessage {
-            files: Some(self.files.to_message()),
+            files: Some(self.files.clone()),
             options: Some(self.options.clone()),
             label: self.label.clone(),
             format: self.format.name().into(),
@@ -47,11 +46,8 @@ impl RecordedModel {
     /// What is wrong with it.
     pub fn read(bytes: &[u8]) -> Result<Self, Error> {
         let message = ModelMessage::decode(bytes).map_err(|e| Error::invalid("model", e.to_string()))?;
-        let files = message
-            .files
-            .ok_or_else(|| Error::invalid("model.files", "is missing"))?;
         let record = Self {
-            files: FileReferences::from_message(files),
+            files: (message.files).ok_or_else(|| Error::invalid("model.files", "is missing"))?,
             options: message.options.unwrap_or_default(),
             of_today: message.of_today,
             label: message.label,
