@@ -56,7 +56,7 @@ impl Animation {
         let vertices = (range.len() as u64).saturating_mul(deformer.rest().len() as u64);
         check_count("the number of frames times that of vertices", vertices, limits.vertices)?;
         let driver = moving.driver(deformer, request.scale, &times, &range)?;
-        let prepared = deformer.animation(moving.rig, driver, times, &request.settings, exec);
+        let prepared = deformer.animation(moving.rig, driver, times, &request.quality, exec);
         let mut animation = prepared.map_err(|e| match e {
             Error::Precondition(problem) => RigError::field("rig", problem).into(),
             e => e,

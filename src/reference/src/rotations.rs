@@ -14,13 +14,8 @@
 //! handles, hence M_i = Σ_k u_k(i) R_k, without a solve. M is not a rotation: half-way through a turn by θ it shrinks
 //! to cos(θ/2) across the axis. The nearest rotation replaces it.
 
-use crate::body::DeformableBody;
-use crate::error::Error;
-use crate::first_pass::blend::{LocalRotation, PoseBlend, pack_rotation};
-use crate::handles::ownership::UNHELD;
-use crate::handles::system::{ConstrainedSystem, HandleSystem};
-use crate::rotation::fade;
 use glam::{DQuat, DVec4};
+use pliant_deform::{DeformableBody, Error, HandleSystem, LocalRotation, PoseBlend, Transform, UNHELD, fade, pack_rotation};
 use pliant_exec::Exec;
 use pliant_exec::pool::Pool;
 use pliant_mesh::rotation::fit_rotation;
@@ -42,13 +37,21 @@ const LONGEST: f64 = 0.5;
 /// Up to the first angle between handles the steady state is taken whole, from the second on not at all.
 const WINDS: [f64; 2] = [1.5 * PI, TAU];
 
-/// The rotations of all nodes.
-pub(crate) fn diffuse(
+/// The rotations of all nodes by orientation diffusion; `None` where nothing is turned.
+///
+/// # Errors
+/// [`Error::Solver`], [`Error::Cancelled`].
+pub fn diffuse(
     body: &DeformableBody,
-    rig: &HandleSystem,
-    blend: &PoseBlend<'_>,
+    handles: &HandleSystem,
+    transforms: &[Transform],
     exec: &Exec<'_>,
-) -> Result<Vec<LocalRotation>, Error> {
+) -> Result<Option<Vec<LocalRotation>>, Error> {
+    exec.progress.begin_pass("blend");
+    let blend = &PoseBlend::new(body, handles, transforms, None);
+    if blend.is_unturned() {
+        return Ok(None);
+    }
     let nodes = body.nodes();
     let begun: Vec<DVec4> = each(exec.pool, nodes, |i| {
         blend.rotation(i).unwrap_or(DQuat::IDENTITY).into()
@@ -56,14 +59,14 @@ pub(crate) fn diffuse(
     // Beyond a full turn there is a shorter way round the sphere, and descent would find it.
     let kept = fade(blend.reach(), WINDS);
     if kept == 1.0 {
-        return Ok(each(exec.pool, nodes, |i| pack_rotation(DQuat::from_vec4(begun[i]))));
+        return Ok(Some(each(exec.pool, nodes, |i| pack_rotation(DQuat::from_vec4(begun[i])))));
     }
     let mut q = begun.clone();
-    relax(body, rig, blend, &mut q, exec)?;
-    Ok(each(exec.pool, nodes, |i| {
+    relax(body, handles, blend, &mut q, exec)?;
+    Ok(Some(each(exec.pool, nodes, |i| {
         let between = begun[i] * kept + q[i] * (1.0 - kept);
         pack_rotation(DQuat::from_vec4(between.try_normalize().unwrap_or(begun[i])))
-    }))
+    })))
 }
 
 fn each<T: Send>(pool: &Pool, nodes: usize, value: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
@@ -72,27 +75,26 @@ fn each<T: Send>(pool: &Pool, nodes: usize, value: impl Fn(usize) -> T + Sync + 
 
 fn relax(
     body: &DeformableBody,
-    rig: &HandleSystem,
+    handles: &HandleSystem,
     blend: &PoseBlend<'_>,
     q: &mut Vec<DVec4>,
     exec: &Exec<'_>,
 ) -> Result<(), Error> {
     let nodes = body.nodes();
-    let diffusion = OrientationDiffusion::new(body, rig, blend);
+    let diffusion = OrientationDiffusion::new(body, handles, blend);
     let own;
-    let same = rig.rotation.hard == rig.position.hard && rig.rotation.soft == rig.position.soft;
-    let system = match same {
-        true => &rig.positions.system,
+    let (rotation, position) = (handles.rotation_owners(), handles.position_owners());
+    let system = match rotation.hard == position.hard && rotation.soft == position.soft {
+        true => handles.position_system(),
         false => {
             let fixed: Vec<bool> = (0..nodes).map(|i| !diffusion.is_open(i)).collect();
-            let stiffness = rig.rotation.stiffness();
+            let stiffness = rotation.stiffness();
             let constraints = Constraints {
                 fixed: &fixed,
                 stiffness: stiffness.as_deref(),
             };
-            let system = body.hierarchy.constrain(&constraints, exec.pool)?;
-            own = ConstrainedSystem { fixed, system };
-            &own.system
+            own = body.hierarchy.constrain(&constraints, exec.pool)?;
+            &own
         }
     };
     let options = SolveOptions {
@@ -153,7 +155,7 @@ fn offsets(soft: &[(u32, u32, f64)], nodes: usize) -> Vec<u32> {
 /// What quaternions are pulled to: their neighbours', and those of soft handles.
 struct OrientationDiffusion<'a> {
     body: &'a DeformableBody,
-    rig: &'a HandleSystem,
+    handles: &'a HandleSystem,
     blend: &'a PoseBlend<'a>,
     /// Where each node's soft pulls begin in the list; empty without any.
     soft: Vec<u32>,
@@ -162,13 +164,13 @@ struct OrientationDiffusion<'a> {
 }
 
 impl<'a> OrientationDiffusion<'a> {
-    fn new(body: &'a DeformableBody, rig: &'a HandleSystem, blend: &'a PoseBlend<'a>) -> Self {
+    fn new(body: &'a DeformableBody, handles: &'a HandleSystem, blend: &'a PoseBlend<'a>) -> Self {
         Self {
             body,
-            rig,
+            handles,
             blend,
-            soft: offsets(&rig.rotation.soft, body.nodes()),
-            held: (0..=rig.handle_count())
+            soft: offsets(&handles.rotation_owners().soft, body.nodes()),
+            held: (0..=handles.handle_count())
                 .map(|k| blend.held_rotation(k).into())
                 .collect(),
         }
@@ -176,7 +178,7 @@ impl<'a> OrientationDiffusion<'a> {
 
     /// Whether a node's rotation is open: some handle has a say in it, and none decides it.
     fn is_open(&self, node: usize) -> bool {
-        self.rig.rotation.hard[node] == UNHELD && self.blend.is_covered(node)
+        self.handles.rotation_owners().hard[node] == UNHELD && self.blend.is_covered(node)
     }
 
     /// Soft pulls on a node: (stiffness, quaternion).
@@ -185,7 +187,7 @@ impl<'a> OrientationDiffusion<'a> {
             true => 0..0,
             false => self.soft[node] as usize..self.soft[node + 1] as usize,
         };
-        self.rig.rotation.soft[range]
+        self.handles.rotation_owners().soft[range]
             .iter()
             .map(|&(_, k, stiffness)| (stiffness, self.held[k as usize]))
     }
@@ -228,13 +230,14 @@ impl<'a> OrientationDiffusion<'a> {
     }
 }
 
-/// The rotations of all nodes.
-pub(crate) fn linear_frames(blend: &PoseBlend<'_>, nodes: usize, pool: &Pool) -> Vec<LocalRotation> {
-    pool.install(|| {
-        (0..nodes)
-            .into_par_iter()
-            .with_min_len(1024)
-            .map(|i| pack_rotation(blend.matrix(i).map_or(DQuat::IDENTITY, fit_rotation)))
-            .collect()
-    })
+/// The rotations of all nodes by linear frames; `None` where nothing is turned.
+pub fn linear_frames(
+    body: &DeformableBody,
+    handles: &HandleSystem,
+    transforms: &[Transform],
+    pool: &Pool,
+) -> Option<Vec<LocalRotation>> {
+    let blend = PoseBlend::new(body, handles, transforms, None);
+    let rotation = |i| pack_rotation(blend.matrix(i).map_or(DQuat::IDENTITY, fit_rotation));
+    (!blend.is_unturned()).then(|| each(pool, body.nodes(), rotation))
 }
