@@ -7,7 +7,7 @@ use bench::*;
 use glam::{DMat3, DQuat, DVec3};
 use pliant::asset::shapes;
 use pliant::deform::{
-    BodyOptions, DeformableBody, HandleConstraint, HandleSetup, HandleSystem, PoseRequest, SolveStart, SolveState,
+    BodyOptions, DeformableBody, HandleConstraint, HandleSetup, HandleSystem, PoseRequest, Quality, SolveState,
     Transform, exp_rotation, frames,
 };
 use pliant::engine::{SolveMode, digest};
@@ -62,15 +62,11 @@ fn solutions_satisfy_equation_8_to_the_residual_asked_for() {
         };
         let transforms = [Transform::IDENTITY, moved];
         for tolerance in [1e-3, 1e-5, 1e-8] {
-            let request = PoseRequest {
-                transforms: &transforms,
+            let quality = Quality {
                 tolerance: Some(tolerance),
-                max_error: None,
-                start: SolveStart::Fresh,
-                first_pass: Default::default(),
-                refinement: Default::default(),
-                extent: Default::default(),
+                ..Quality::default()
             };
+            let request = PoseRequest::new(&transforms, quality);
             let solution = rig
                 .solve(
                     &body,
@@ -259,7 +255,7 @@ fn fields_are_bounded_and_sum_to_one() {
         &mut bench,
         vec![handle("base", below(0.25)), handle("top", above(3.75)), soft],
     );
-    let fields = bench.rig().expect("a rig").rotation_fields();
+    let fields = bench.handle_system().expect("a rig").rotation_fields();
     let nodes = bench.body().nodes();
     let mut inner = 0;
     for i in 0..nodes {

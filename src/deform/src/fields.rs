@@ -274,8 +274,7 @@ impl SparseShares {
             some.iter_mut().for_each(|s| s.1 /= sum);
             some
         };
-        let by_node: Vec<Vec<(u32, f32)>> =
-            pool.install(|| (0..nodes).into_par_iter().with_min_len(1024).map(of_node).collect());
+        let by_node: Vec<Vec<(u32, f32)>> = pool.map(nodes, 1024, of_node);
         let mut first = Vec::with_capacity(nodes + 1);
         first.push(0);
         let mut total = 0;

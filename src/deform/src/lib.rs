@@ -77,12 +77,12 @@ pub use fields::HarmonicFields;
 pub use first_pass::{LocalFrame, LocalRotation, PoseBlend, frames, pack_rotation};
 pub use folds::{FaceChanges, FaceSurroundings, unfold_faces};
 pub use handles::{
-    FreePartPolicy, HandleConstraint, HandleMotion, HandleSetup, HandleShares, HandleSystem, NodeOwnership, UNHELD, carry,
-    shares_difference,
+    FreePartPolicy, HandleConstraint, HandleMotion, HandleSetup, HandleShares, HandleSystem, NodeOwnership, UNHELD,
+    carry, shares_difference,
 };
-pub use rotation::{Transform, blend_rotations, exp_rotation, fade, fit_rigid_motion, log_rotation};
 pub use pose::{
     FirstPass, FitOrder, PoseRequest, PoseStats, Quality, SolutionExtent, SolveStart, SolveUpdate, SolvedNodes,
 };
+pub use rotation::{Transform, blend_rotations, exp_rotation, fade, fit_rigid_motion, log_rotation};
 pub use second_pass::{SecondPassEquations, SolveState};
 pub use thin_faces::NeedlesAndCaps;

@@ -15,12 +15,13 @@
 //! to cos(θ/2) across the axis. The nearest rotation replaces it.
 
 use glam::{DQuat, DVec4};
-use pliant_deform::{DeformableBody, Error, HandleSystem, LocalRotation, PoseBlend, Transform, UNHELD, fade, pack_rotation};
+use pliant_deform::{
+    DeformableBody, Error, HandleSystem, LocalRotation, PoseBlend, Transform, UNHELD, fade, pack_rotation,
+};
 use pliant_exec::Exec;
 use pliant_exec::pool::Pool;
 use pliant_mesh::rotation::fit_rotation;
 use pliant_solver::{Constraints, InitialGuess, SolveControl, SolveOptions, Workspace};
-use rayon::prelude::*;
 use std::f64::consts::{PI, TAU};
 
 /// Most steps; each brings the error down to about (θ / 2π)² of what it was for turns by θ.
@@ -53,24 +54,23 @@ pub fn diffuse(
         return Ok(None);
     }
     let nodes = body.nodes();
-    let begun: Vec<DVec4> = each(exec.pool, nodes, |i| {
-        blend.rotation(i).unwrap_or(DQuat::IDENTITY).into()
-    });
+    let begun: Vec<DVec4> = exec
+        .pool
+        .map(nodes, 1024, |i| blend.rotation(i).unwrap_or(DQuat::IDENTITY).into());
     // Beyond a full turn there is a shorter way round the sphere, and descent would find it.
     let kept = fade(blend.reach(), WINDS);
     if kept == 1.0 {
-        return Ok(Some(each(exec.pool, nodes, |i| pack_rotation(DQuat::from_vec4(begun[i])))));
+        return Ok(Some(
+            exec.pool
+                .map(nodes, 1024, |i| pack_rotation(DQuat::from_vec4(begun[i]))),
+        ));
     }
     let mut q = begun.clone();
     relax(body, handles, blend, &mut q, exec)?;
-    Ok(Some(each(exec.pool, nodes, |i| {
+    Ok(Some(exec.pool.map(nodes, 1024, |i| {
         let between = begun[i] * kept + q[i] * (1.0 - kept);
         pack_rotation(DQuat::from_vec4(between.try_normalize().unwrap_or(begun[i])))
     })))
-}
-
-fn each<T: Send>(pool: &Pool, nodes: usize, value: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
-    pool.install(|| (0..nodes).into_par_iter().with_min_len(1024).map(value).collect())
 }
 
 fn relax(
@@ -110,7 +110,10 @@ fn relax(
     let mut energy = diffusion.energy(q, exec.pool);
     for _ in 0..STEPS {
         exec.check()?;
-        let rhs: Vec<f64> = each(exec.pool, nodes, |i| diffusion.residual(i, q).to_array()).into_flattened();
+        let rhs: Vec<f64> = exec
+            .pool
+            .map(nodes, 1024, |i| diffusion.residual(i, q).to_array())
+            .into_flattened();
         let mut step = vec![0.0; nodes * 4];
         system
             .equations(&body.hierarchy, 4, &rhs)
@@ -118,7 +121,7 @@ fn relax(
                 SolveControl::Continue
             })?;
         let step: &[[f64; 4]] = step.as_chunks().0;
-        let next = each(exec.pool, nodes, |i| match diffusion.is_open(i) {
+        let next = exec.pool.map(nodes, 1024, |i| match diffusion.is_open(i) {
             true => (q[i] + DVec4::from_array(step[i]).clamp_length_max(LONGEST)).normalize(),
             false => q[i],
         });
@@ -141,17 +144,6 @@ fn relax(
     Ok(())
 }
 
-/// Where each node's pulls begin in a list that is sorted by node; empty without any.
-fn offsets(soft: &[(u32, u32, f64)], nodes: usize) -> Vec<u32> {
-    if soft.is_empty() {
-        return Vec::new();
-    }
-    let mut offsets = vec![0; nodes + 1];
-    soft.iter().for_each(|s| offsets[s.0 as usize + 1] += 1);
-    (0..nodes).for_each(|i| offsets[i + 1] += offsets[i]);
-    offsets
-}
-
 /// What quaternions are pulled to: their neighbours', and those of soft handles.
 struct OrientationDiffusion<'a> {
     body: &'a DeformableBody,
@@ -169,7 +161,7 @@ impl<'a> OrientationDiffusion<'a> {
             body,
             handles,
             blend,
-            soft: offsets(&handles.rotation_owners().soft, body.nodes()),
+            soft: handles.rotation_owners().first_pulls(),
             held: (0..=handles.handle_count())
                 .map(|k| blend.held_rotation(k).into())
                 .collect(),
@@ -220,12 +212,8 @@ impl<'a> OrientationDiffusion<'a> {
             }
         };
         let nodes = self.body.nodes();
-        let blocks: Vec<f64> = pool.install(|| {
-            (0..nodes.div_ceil(BLOCK))
-                .into_par_iter()
-                .map(|b| (b * BLOCK..nodes.min((b + 1) * BLOCK)).map(of_node).sum())
-                .collect()
-        });
+        let of_block = |b: usize| (b * BLOCK..nodes.min((b + 1) * BLOCK)).map(of_node).sum();
+        let blocks: Vec<f64> = pool.map(nodes.div_ceil(BLOCK), 1, of_block);
         0.5 * blocks.iter().sum::<f64>()
     }
 }
@@ -239,5 +227,5 @@ pub fn linear_frames(
 ) -> Option<Vec<LocalRotation>> {
     let blend = PoseBlend::new(body, handles, transforms, None);
     let rotation = |i| pack_rotation(blend.matrix(i).map_or(DQuat::IDENTITY, fit_rotation));
-    (!blend.is_unturned()).then(|| each(pool, body.nodes(), rotation))
+    (!blend.is_unturned()).then(|| pool.map(body.nodes(), 1024, rotation))
 }

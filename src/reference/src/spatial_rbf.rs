@@ -238,7 +238,11 @@ fn kernel(d: DVec3) -> f64 {
 }
 
 /// The centres, and by centre what softness adds to the diagonal.
-fn centres(body: &DeformableBody, handles: &HandleSystem, exec: &Exec<'_>) -> Result<(Vec<RbfCentre>, Vec<f64>), Error> {
+fn centres(
+    body: &DeformableBody,
+    handles: &HandleSystem,
+    exec: &Exec<'_>,
+) -> Result<(Vec<RbfCentre>, Vec<f64>), Error> {
     let owners = handles.position_owners();
     let mut candidates: Vec<u32> = (0u32..)
         .zip(&owners.hard[..body.graph.surface])
@@ -409,9 +413,8 @@ impl SpatialRbf {
             .flat_map(|(i, d)| (at_rest(body, i) + *d).to_array())
             .collect();
         handles.make_regions_rigid(body, transforms, &mut [], &mut x);
-        let stays = |i: usize| {
-            handles.setup().policy == FreePartPolicy::Hold && handles.given()[i] && owners.hard[i] == UNHELD
-        };
+        let stays =
+            |i: usize| handles.setup().policy == FreePartPolicy::Hold && handles.given()[i] && owners.hard[i] == UNHELD;
         let positions: Vec<DVec3> = (0..body.nodes())
             .map(|i| match owners.hard[i] {
                 UNHELD if stays(i) => body.graph.positions[i],

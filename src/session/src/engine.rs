@@ -8,7 +8,7 @@ use pliant_asset::{FileSet, Format, WrittenFiles};
 use pliant_core::engine::{
     Animation, AnimationLimits, CarriedModel, ClipRequest, Deformer, DeformerFacts, DeformerLimits, DeformerWarning,
     EditCommand, EditOutcome, Error, HandlePose, HandlePoses, HandleSet, ModelShape, OpenOptions, QualityReport,
-    Shader, ShapeId, SolveMode, SolveSettings, SolveUpdate, SolvedShape, TopologyState,
+    Shader, ShapeId, SolveMode, SolveSettings, SolveUpdate, TopologyState,
 };
 use pliant_exec::Exec;
 use pliant_mesh::carry::CarriedFrame;
@@ -55,7 +55,7 @@ pub trait Engine: Send + 'static {
         mode: SolveMode,
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
-    ) -> Result<SolvedShape, Error>;
+    ) -> Result<ModelShape, Error>;
     /// Whether the last pose of a drag has left something to do for [`Engine::settle`].
     fn is_worth_settling(&self) -> bool {
         false
@@ -208,7 +208,7 @@ impl Engine for Deformer {
         mode: SolveMode,
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
-    ) -> Result<SolvedShape, Error> {
+    ) -> Result<ModelShape, Error> {
         Self::solve(self, poses, settings, mode, exec, watch)
     }
 

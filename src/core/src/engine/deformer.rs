@@ -435,7 +435,9 @@ impl Deformer {
     /// # Errors
     /// Those of [`Deformer::transforms`].
     pub fn constraint_error(&self, positions: &[DVec3], poses: &HandlePoses) -> Result<f64, Error> {
-        let Some(system) = self.handle_system() else { return Ok(0.0) };
+        let Some(system) = self.handle_system() else {
+            return Ok(0.0);
+        };
         let now = |s: usize| positions[self.derived.mesh.render_vertices_of(s as u32)[0] as usize];
         let farthest = system.largest_misplacement(self.body(), &self.transforms(poses)?, now);
         let diagonal = self.diagonal();

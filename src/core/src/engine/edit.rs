@@ -115,7 +115,10 @@ impl Deformer {
         report.handles_kept = carried.set.handles.iter().map(|h| h.id.clone()).collect();
         report.warnings.splice(..0, std::mem::take(&mut carried.warnings));
         let beside = HeldBeside {
-            held: self.handle_system.as_ref().map_or(0, |handles| handles.byte_size() as u64),
+            held: self
+                .handle_system
+                .as_ref()
+                .map_or(0, |handles| handles.byte_size() as u64),
             watcher: exec.progress,
         };
         next.set_handles(&carried.set, &Exec::new(exec.pool, &beside))?;

@@ -169,7 +169,9 @@ impl<'a> HandleRotations<'a> {
         let fields = handles.blending_fields.as_ref().unwrap_or(&handles.rotation_fields);
         // The frozen surroundings stand still; they come after the holds.
         let rotation = |k: usize| transforms.get(k).map_or(DVec3::ZERO, |t| t.rotation);
-        let active: Vec<usize> = (0..=handles.handle_count()).filter(|&k| !fields.of(k).is_empty()).collect();
+        let active: Vec<usize> = (0..=handles.handle_count())
+            .filter(|&k| !fields.of(k).is_empty())
+            .collect();
         let base_hold = active
             .iter()
             .copied()

@@ -17,7 +17,6 @@ use crate::rotation::Transform;
 use glam::{DQuat, Quat};
 use pliant_exec::pool::Pool;
 use pliant_mesh::rotation::exp_rotation;
-use rayon::prelude::*;
 use std::borrow::Cow;
 
 /// The frames of all nodes for the holds' transforms (`transforms[k]` belongs to hold k of the handles), by harmonic fields.
@@ -67,15 +66,9 @@ pub(crate) fn blend_frames_with(
     pool: &Pool,
 ) -> Vec<LocalFrame> {
     let blend = PoseBlend::new(body, handles, transforms, instead);
-    pool.install(|| {
-        (0..body.nodes())
-            .into_par_iter()
-            .with_min_len(1024)
-            .map(|i| match (blend.rotation(i), blend.scale(i)) {
-                (None, None) => IDENTITY_FRAME,
-                (rotation, scale) => pack_frame(rotation.unwrap_or(DQuat::IDENTITY), scale),
-            })
-            .collect()
+    pool.map(body.nodes(), 1024, |i| match (blend.rotation(i), blend.scale(i)) {
+        (None, None) => IDENTITY_FRAME,
+        (rotation, scale) => pack_frame(rotation.unwrap_or(DQuat::IDENTITY), scale),
     })
 }
 
@@ -104,11 +97,5 @@ fn weighted_sums(handles: &HandleSystem, transforms: &[Transform], pool: &Pool) 
             false => most.to_array(),
         }
     };
-    pool.install(|| {
-        (0..shares.nodes())
-            .into_par_iter()
-            .with_min_len(4096)
-            .map(blend)
-            .collect()
-    })
+    pool.map(shares.nodes(), 4096, blend)
 }

@@ -134,6 +134,18 @@ impl NodeOwnership {
         Some(sum)
     }
 
+    /// Where each node's soft pulls begin in the list, and the end; empty without any.
+    pub fn first_pulls(&self) -> Vec<u32> {
+        if self.soft.is_empty() {
+            return Vec::new();
+        }
+        let nodes = self.hard.len();
+        let mut first = vec![0; nodes + 1];
+        self.soft.iter().for_each(|s| first[s.0 as usize + 1] += 1);
+        (0..nodes).for_each(|i| first[i + 1] += first[i]);
+        first
+    }
+
     pub(crate) fn byte_size(&self) -> usize {
         self.hard.capacity() * 4 + self.soft.capacity() * size_of::<(u32, u32, f64)>()
     }

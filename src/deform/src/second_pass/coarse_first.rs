@@ -110,19 +110,18 @@ impl PoseSolve<'_> {
         let SolveState { rows, workspace, .. } = state;
         rows.pose.remember = false;
         rows.pose.show_positions(self.exec.pool);
-        let stats = self.handles.positions.system.pose_equations(&self.body.hierarchy).solve(
-            &mut rows.pose,
-            self.criteria(),
-            workspace,
-            self.exec,
-            &mut |done| {
+        let stats = self
+            .handles
+            .positions
+            .system
+            .pose_equations(&self.body.hierarchy)
+            .solve(&mut rows.pose, self.criteria(), workspace, self.exec, &mut |done| {
                 self.report_cycle(done, before, tally);
                 match tally.stopped || !is_last {
                     true => SolveControl::Stop,
                     false => SolveControl::Continue,
                 }
-            },
-        )?;
+            })?;
         tally.iterations += stats.iterations;
         Ok(stats)
     }

@@ -149,25 +149,29 @@ impl PoseSolve<'_> {
     fn solve_rows(&self, state: &mut SolveState, tally: &mut SolveTally<'_>) -> Result<SolveStats, Error> {
         let SolveState { rows, workspace, .. } = state;
         rows.pose.remember = true;
-        let stats = self.handles.positions.system.pose_equations(&self.body.hierarchy).solve(
-            &mut rows.pose,
-            self.criteria(),
-            workspace,
-            self.exec,
-            &mut |done| {
+        let stats = self
+            .handles
+            .positions
+            .system
+            .pose_equations(&self.body.hierarchy)
+            .solve(&mut rows.pose, self.criteria(), workspace, self.exec, &mut |done| {
                 self.report_cycle(done, 0, tally);
                 match tally.stopped {
                     true => SolveControl::Stop,
                     false => SolveControl::Continue,
                 }
-            },
-        )?;
+            })?;
         Ok(stats)
     }
 }
 
 /// Ties and soft pulls, which reach few nodes.
-pub(super) fn fill_scattered(handles: &HandleSystem, body: &DeformableBody, transforms: &[Transform], rows: &mut DragRows) {
+pub(super) fn fill_scattered(
+    handles: &HandleSystem,
+    body: &DeformableBody,
+    transforms: &[Transform],
+    rows: &mut DragRows,
+) {
     if !handles.has_scattered(body) {
         return;
     }

@@ -19,7 +19,6 @@ use crate::second_pass::single_precision::QuickFit;
 use glam::{DMat3, DQuat, DVec3, Mat3};
 use pliant_exec::pool::Pool;
 use pliant_mesh::rotation::{exp_rotation, nearest_rotation};
-use rayon::prelude::*;
 
 /// How far a carried fit goes, where 1 is to the rotation that fits best: successive over-relaxation of the alternation, which
 /// creeps towards its minimum.
@@ -56,12 +55,7 @@ impl<'a> RotationFit<'a> {
         let (transforms, smoothing) = (request.transforms, request.quality.smoothing);
         let is_carried = request.fits == FitOrder::Carried;
         let instead = first.instead.as_deref();
-        let mut soft = Vec::new();
-        if !handles.rotation.soft.is_empty() {
-            soft = vec![0; body.nodes() + 1];
-            handles.rotation.soft.iter().for_each(|s| soft[s.0 as usize + 1] += 1);
-            (0..body.nodes()).for_each(|i| soft[i + 1] += soft[i]);
-        }
+        let soft = handles.rotation.first_pulls();
         let blend = PoseBlend::new(body, handles, transforms, instead);
         let is_plain = blend.is_unscaled() && soft.is_empty() && smoothing == 0.0;
         let reach = if is_carried { FARTHER } else { 1.0 };
@@ -145,9 +139,7 @@ impl<'a> RotationFit<'a> {
             return quick.step(turns, x, |i| self.is_open(i), pool);
         }
         self.each(pool, |i| match self.is_open(i) {
-            true if self.is_carried => {
-                pack_rotation(farther(unpack_rotation(turns[i]), self.fitted(i, turns, x)))
-            }
+            true if self.is_carried => pack_rotation(farther(unpack_rotation(turns[i]), self.fitted(i, turns, x))),
             true => pack_rotation(self.fitted(i, turns, x)),
             false => turns[i],
         })
@@ -187,13 +179,7 @@ impl<'a> RotationFit<'a> {
     }
 
     fn each<T: Send>(&self, pool: &Pool, value: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
-        pool.install(|| {
-            (0..self.body.nodes())
-                .into_par_iter()
-                .with_min_len(1024)
-                .map(value)
-                .collect()
-        })
+        pool.map(self.body.nodes(), 1024, value)
     }
 }
 
