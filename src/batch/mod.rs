@@ -118,10 +118,7 @@ pub fn run_and_write(
         done.levels = facts.levels.len() as u32;
         done.bytes = facts.byte_size;
         done.digest = digest(&batch.shape.positions);
-        done.field_cycles = batch
-            .deformer
-            .handle_system()
-            .map_or(0, |handles| handles.field_iterations as u32);
+        done.field_cycles = (batch.deformer.handle_system()).map_or(0, |h| h.field_iterations as u32);
         if let Some(take) = &mut each_step {
             stages.report("encode", 0.0);
             let written = batch.write(format, &exec)?;

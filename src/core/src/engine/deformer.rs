@@ -97,15 +97,20 @@ impl Deformer {
             ..ModelTopology::new(model)
         };
         let derived = DerivedStructures::build(TopologyId(0), Arc::new(topology), options, limits, exec)?;
-        Ok(Self {
-            derived: Arc::new(derived),
+        let limits = DeformerLimits {
+            graph_bytes: limits.graph_bytes.or(Some(limits.memory_bytes)),
+            ..*limits
+        };
+        Ok(Self::without_handles(Arc::new(derived), options, limits))
+    }
+
+    fn without_handles(derived: Arc<DerivedStructures>, options: &OpenOptions, limits: DeformerLimits) -> Self {
+        Self {
+            next_topology: derived.lineage.id.next(),
+            derived,
             options: options.clone(),
-            limits: DeformerLimits {
-                graph_bytes: limits.graph_bytes.or(Some(limits.memory_bytes)),
-                ..*limits
-            },
             room: limits.memory_bytes,
-            next_topology: TopologyId(1),
+            limits,
             handles: ResolvedHandles::default(),
             handle_system: None,
             state: SolveState::default(),
@@ -113,7 +118,7 @@ impl Deformer {
             committed: None,
             solutions: 0,
             past: Vec::new(),
-        })
+        }
     }
 
     /// A deformer on another state of the model, without handles. What follows from the present one is kept for the way back
@@ -134,18 +139,11 @@ impl Deformer {
             .count();
         past.drain(..past.len() - kept);
         Self {
-            derived,
-            options: self.options.clone(),
-            limits: self.limits,
             room: self.room,
             next_topology,
-            handles: ResolvedHandles::default(),
-            handle_system: None,
-            state: SolveState::default(),
-            spatial_rbf: SpatialRbf::default(),
-            committed: None,
             solutions: self.solutions,
             past,
+            ..Self::without_handles(derived, &self.options, self.limits)
         }
     }
 

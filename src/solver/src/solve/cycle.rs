@@ -302,7 +302,7 @@ mod tests {
     #[test]
     fn the_cycle_is_symmetric_and_positive() {
         // A block, a shell and a strip; on the thin ones the finest level is swept forth and back.
-        for (sides, levels, is_thin) in [([21, 18, 18], 4, false), ([24, 24, 1], 3, true), ([75, 4, 1], 3, true)] {
+        for (sides, levels, is_thin) in [([21, 18, 18], 4, false), ([12, 40, 1], 3, true), ([4, 75, 1], 3, true)] {
             let [nx, ny, nz] = sides;
             let block = BoxLattice::new(nx, ny, nz).weighted();
             let hierarchy = block.hierarchy(20);

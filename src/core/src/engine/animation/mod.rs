@@ -10,6 +10,7 @@
 
 mod frames;
 mod held_nodes;
+mod key_frames;
 mod made_rig;
 mod moving_clip;
 mod played;
