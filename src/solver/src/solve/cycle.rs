@@ -307,8 +307,8 @@ mod tests {
             let block = BoxLattice::new(nx, ny, nz).weighted();
             let hierarchy = block.hierarchy(20);
             let mut system = block.system(&hierarchy);
-            if system.is_direct() {
-                assert!(cfg!(miri), "{sides:?} has levels");
+            // Under Miri the thin ones are so small that they are solved directly.
+            if cfg!(miri) && system.is_direct() {
                 continue;
             }
             let (u, v) = vectors(hierarchy.levels[0].rows());
