@@ -117,7 +117,7 @@ pub fn run_and_write(
         done.levels = facts.levels.len() as u32;
         done.bytes = facts.byte_size;
         done.digest = digest(&batch.shape.positions);
-        done.field_cycles = batch.deformer.rig().map_or(0, |r| r.field_iterations as u32);
+        done.field_cycles = (batch.deformer.handle_system()).map_or(0, |h| h.field_iterations as u32);
         if let Some(take) = &mut each_step {
             stages.report("encode", 0.0);
             let written = batch.write(format, &exec)?;
@@ -232,16 +232,17 @@ impl<'a> BatchRun<'a> {
         self.idle.extend(idle.map(|(held, _)| held.id));
         let (settings, mode) = (&self.options.solve, SolveMode::Commit);
         let solved = (self.deformer).solve(&self.poses, settings, mode, exec, &mut |_| true)?;
-        self.shape = solved.shape();
+        let stats = solved.stats;
+        self.shape = solved;
         self.is_solved = true;
         exec.progress.report("quality", 0.0);
         Ok(pb::report::Step {
             kind: "pose".into(),
-            cycles: solved.cycles,
-            residual: solved.residual,
-            max_error: solved.max_error,
+            cycles: stats.cycles,
+            residual: stats.residual,
+            max_error: stats.max_error,
             quality: Some(self.quality(exec)?),
-            solver: solved.solver.into(),
+            solver: stats.solver.into(),
             ..Default::default()
         })
     }

@@ -4,8 +4,17 @@ use std::path::{Path, PathBuf};
 use std::{env, error::Error, fs};
 
 /// The crates whose code computes results, as folders next to this one.
-const COMPUTING: [&str; 9] = [
-    "asset", "core", "deform", "edit", "exec", "mesh", "motion", "render", "solver",
+const COMPUTING: [&str; 10] = [
+    "asset",
+    "core",
+    "deform",
+    "edit",
+    "exec",
+    "mesh",
+    "motion",
+    "reference",
+    "render",
+    "solver",
 ];
 
 fn main() -> Result<(), Box<dyn Error>> {

@@ -9,7 +9,7 @@ mod operations;
 use bench::*;
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits as ModelLimits, Model, shapes};
-use pliant::engine::{Deformer, ModelShape, SolvedShape, digest};
+use pliant::engine::{Deformer, ModelShape, digest};
 use pliant::exec::Exec;
 use pliant::progress::Silent;
 use pliant::wire::{Error, pb};
@@ -97,7 +97,7 @@ fn held() -> Deformer {
     bench
 }
 
-fn solved(bench: &mut Deformer, entries: &[(&str, pb::HandlePose)]) -> SolvedShape {
+fn solved(bench: &mut Deformer, entries: &[(&str, pb::HandlePose)]) -> ModelShape {
     solve(bench, entries, 1e-8)
 }
 
@@ -145,7 +145,7 @@ fn a_cut_that_keeps_both_sides_leaves_two_parts_that_move_apart() {
 fn what_is_seen_becomes_the_rest_shape() {
     let mut bench = held();
     let bent = solved(&mut bench, &[("top", turn(DVec3::new(0.7, 0.0, 0.0), DVec3::ZERO))]);
-    let outcome = edit(&mut bench, &midpoint(Some(above(1.2))), &bent.shape()).expect("subdivided");
+    let outcome = edit(&mut bench, &midpoint(Some(above(1.2))), &bent).expect("subdivided");
     let before = bent.positions.len();
     assert!(outcome.shape.len() > before);
     for run in &outcome.result.kept {
@@ -255,7 +255,7 @@ fn the_same_edits_give_the_same_bits_on_any_number_of_threads() {
             let turned = turn(DVec3::new(0.2, 0.1 * k as f64, 0.0), DVec3::ZERO);
             let solved = solved(&mut bench, &[("top", turned)]);
             digests.push(digest(&solved.positions));
-            shape = solved.shape();
+            shape = solved;
         }
         digests
     };

@@ -132,7 +132,7 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
             &Exec::new(&pool, &Silent),
             &mut |_| true,
         );
-        shape = solved.expect("solved").shape();
+        shape = solved.expect("solved");
         quality = bench.quality(&shape, &pool);
         if !remesh {
             continue;

@@ -122,8 +122,8 @@ impl Run {
             &mut |_| true,
         );
         let solved = solved.expect("solved");
-        assert!(solved.residual <= 1e-5, "{}", solved.residual);
-        solved.shape()
+        assert!(solved.stats.residual <= 1e-5, "{}", solved.stats.residual);
+        solved
     }
 
     /// Edits, and checks what came of it.
@@ -292,7 +292,7 @@ fn cycles(bench: &mut Deformer, diagonal: f64, run: &Run) -> Vec<u32> {
             &Exec::new(&run.pool, &Silent),
             &mut |_| true,
         );
-        all.push(solved.expect("solved").cycles);
+        all.push(solved.expect("solved").stats.cycles);
     }
     all
 }

@@ -27,7 +27,7 @@ pub fn drag_head(steps: u32) -> Result<Vec<u32>, Box<dyn Error>> {
         let pose = HandlePose::translation([0.0, 0.01 * f64::from(step), 0.0]);
         let shape = drag.solve([("head", pose)], &exec)?;
         // A viewer would draw `shape.positions` here.
-        cycles.push(shape.cycles);
+        cycles.push(shape.stats.cycles);
     }
     Ok(cycles)
 }

@@ -3,8 +3,8 @@
 use pliant::asset::{FileSet, sample};
 use pliant::edit::KeptSide;
 use pliant::engine::{
-    CutLine, Deformer, DeformerLimits, Edit, EditReport, Handle, HandlePose, OpenOptions, Plane, Region, SolveSettings,
-    SolvedShape,
+    CutLine, Deformer, DeformerLimits, Edit, EditReport, Handle, HandlePose, ModelShape, OpenOptions, Plane, Region,
+    SolveSettings,
 };
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -12,7 +12,7 @@ use pliant::progress::Silent;
 use std::error::Error;
 
 /// Cuts the legs off and closes the cut, then turns the head of what is left.
-pub fn cut_and_turn() -> Result<(EditReport, SolvedShape), Box<dyn Error>> {
+pub fn cut_and_turn() -> Result<(EditReport, ModelShape), Box<dyn Error>> {
     let pool = Pool::new(0)?;
     let exec = Exec::new(&pool, &Silent);
     let files = FileSet::single("creature.glb", sample::creature_glb());
@@ -43,6 +43,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         "{} triangles, {} after the cut",
         report.before.faces, report.after.faces
     );
-    println!("{} vertices solved in {} cycles", shape.positions.len(), shape.cycles);
+    println!(
+        "{} vertices solved in {} cycles",
+        shape.positions.len(),
+        shape.stats.cycles
+    );
     Ok(())
 }

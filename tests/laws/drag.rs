@@ -5,8 +5,8 @@ use crate::support::shapes::{both, moved};
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
 use pliant::engine::{
-    Deformer, DeformerLimits, Falloff, FalloffCurve, Handle, HandlePose, HandleRotation, HandleScale, OpenOptions,
-    Plane, Region, SolveMode, SolveSettings, SolvedShape,
+    Deformer, DeformerLimits, Falloff, FalloffCurve, Handle, HandlePose, HandleRotation, HandleScale, ModelShape,
+    OpenOptions, Plane, Quality, Region, SolveMode, SolveSettings,
 };
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -81,12 +81,7 @@ fn pose(scene: Scene, t: f64, scaled: bool) -> Vec<(&'static str, HandlePose)> {
     poses
 }
 
-fn frame(
-    deformer: &mut Deformer,
-    poses: Vec<(&str, HandlePose)>,
-    settings: &SolveSettings,
-    pool: &Pool,
-) -> SolvedShape {
+fn frame(deformer: &mut Deformer, poses: Vec<(&str, HandlePose)>, settings: &SolveSettings, pool: &Pool) -> ModelShape {
     let poses = deformer.change_poses(&deformer.initial_poses(), poses).unwrap();
     let exec = Exec::new(pool, &Silent);
     deformer
@@ -96,10 +91,10 @@ fn frame(
 
 /// Solves to the last digits.
 fn exact() -> SolveSettings {
-    SolveSettings {
+    SolveSettings::from(Quality {
         tolerance: Some(1e-10),
-        ..SolveSettings::default()
-    }
+        ..Quality::default()
+    })
 }
 
 /// The largest distance of a vertex, as a fraction of the diagonal.
@@ -118,16 +113,16 @@ fn frames_are_as_near_to_the_exact_shape_as_asked_for() {
                 // There, a jump, and back.
                 let t = [f64::from(k) / 24.0, 1.0 - f64::from(k) / 40.0][usize::from(k > 15)];
                 let shown = frame(&mut dragged, pose(scene, t, scaled), &SolveSettings::default(), &pool);
-                none += u32::from(shown.cycles == 0);
-                assert!(shown.residual <= 1e-4, "{scene:?} {k}: {}", shown.residual);
+                none += u32::from(shown.stats.cycles == 0);
+                assert!(shown.stats.residual <= 1e-4, "{scene:?} {k}: {}", shown.stats.residual);
                 if k % 4 == 0 {
                     let wanted = frame(&mut beside, pose(scene, t, scaled), &exact(), &pool);
                     let far = distance(&dragged, &shown.positions, &wanted.positions);
                     assert!(far < 2e-4, "{scene:?} scaled {scaled} frame {k}: {far:.1e}");
                     assert!(
-                        far < 4.0 * shown.max_error + 2e-6,
+                        far < 4.0 * shown.stats.max_error + 2e-6,
                         "{far:.1e} where {:.1e} was reported",
-                        shown.max_error
+                        shown.stats.max_error
                     );
                 }
             }
@@ -142,11 +137,11 @@ fn frames_are_as_near_to_the_exact_shape_as_asked_for() {
 #[test]
 fn an_error_that_is_asked_for_is_kept() {
     let pool = Pool::new(2).unwrap();
-    let asked = SolveSettings {
+    let asked = SolveSettings::from(Quality {
         tolerance: None,
         max_error: Some(5e-5),
-        ..SolveSettings::default()
-    };
+        ..Quality::default()
+    });
     let (mut dragged, mut beside) = (deformer(Scene::Ends, &pool), deformer(Scene::Ends, &pool));
     for k in 1..=20 {
         let t = f64::from(k) / 20.0;
@@ -154,9 +149,9 @@ fn an_error_that_is_asked_for_is_kept() {
         let wanted = frame(&mut beside, pose(Scene::Ends, t, false), &exact(), &pool);
         let far = distance(&dragged, &shown.positions, &wanted.positions);
         assert!(
-            far < 1e-4 && shown.max_error <= 5e-5,
+            far < 1e-4 && shown.stats.max_error <= 5e-5,
             "frame {k}: {far:.1e}, reported {:.1e}",
-            shown.max_error
+            shown.stats.max_error
         );
     }
 }
@@ -205,13 +200,13 @@ fn frames_of_a_smooth_drag_need_no_iteration_where_the_time_between_them_is_used
         if k <= 10 {
             continue;
         }
-        (cycles.iter_mut().zip(&shown)).for_each(|(cycles, shown)| *cycles += shown.cycles);
-        assert!(shown[1].residual <= 1e-4);
+        (cycles.iter_mut().zip(&shown)).for_each(|(cycles, shown)| *cycles += shown.stats.cycles);
+        assert!(shown[1].stats.residual <= 1e-4);
         if k % 7 == 0 {
             let wanted = frame(&mut beside, now(), &exact(), &pool);
             let far = distance(&ahead, &shown[1].positions, &wanted.positions);
             assert!(
-                far < 1e-4 && far < 4.0 * shown[1].max_error + 2e-6,
+                far < 1e-4 && far < 4.0 * shown[1].stats.max_error + 2e-6,
                 "frame {k}: {far:.1e}"
             );
         }
@@ -242,7 +237,7 @@ fn what_is_solved_between_frames_is_given_up_whole() {
         let now = || pose(Scene::Ends, f64::from(k) / 40.0, false);
         let [one, other] = [&mut dragged, &mut same].map(|d| frame(d, now(), &settings, &pool));
         // What was known of earlier poses may be forgotten, which the next frame makes up for.
-        assert!(one.residual <= 1e-4 && distance(&same, &one.positions, &other.positions) < 2e-4);
+        assert!(one.stats.residual <= 1e-4 && distance(&same, &one.positions, &other.positions) < 2e-4);
         if dragged.is_worth_settling() {
             given_up += 1;
             assert!(dragged.settle(&Exec::new(&pool, &GivenUp)).is_err());
@@ -277,10 +272,10 @@ fn a_drag_goes_on_from_a_commit_and_a_commit_knows_nothing_of_it() {
     let [one, other] = [&mut dragged, &mut fresh].map(|d| d.commit(last.clone(), &settings, &exec).unwrap());
     assert_eq!(one.positions, other.positions, "a commit depends on nothing before it");
     // A frame of the same pose starts at the committed shape.
-    let quick = SolveSettings {
+    let quick = SolveSettings::from(Quality {
         refine: Some(0),
-        ..settings
-    };
+        ..settings.quality
+    });
     let shown = frame(&mut dragged, last.clone(), &quick, &pool);
     let wanted = frame(&mut fresh, last, &exact(), &pool);
     assert!(distance(&dragged, &shown.positions, &wanted.positions) < 2e-4);

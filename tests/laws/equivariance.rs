@@ -7,8 +7,8 @@ use crate::support::bench::largest_distance;
 use glam::{DMat3, DQuat, DVec3};
 use pliant::asset::shapes::box_with_cells;
 use pliant::deform::{
-    BodyOptions, DeformableBody, HandleConstraint, HandleSetup, HandleSystem, PoseRequest, Refinement, SolveStart,
-    SolveState, Transform, VolumeMode, exp_rotation, log_rotation,
+    BodyOptions, DeformableBody, HandleConstraint, HandleSetup, HandleSystem, PoseRequest, Quality, SolveState,
+    Transform, VolumeMode, exp_rotation, log_rotation,
 };
 use pliant::exec::Exec;
 use pliant::mesh::Mesh;
@@ -115,18 +115,12 @@ fn deformed(shape: &Shape, handles: &[Handle], place: &Place, volume: VolumeMode
     );
     let rig = HandleSystem::build(&body, rigging, &Exec::new(&pool, &Silent)).expect("a rig");
     let transforms: Vec<Transform> = handles.iter().map(|h| place.transform(&h.transform)).collect();
-    let request = PoseRequest {
-        transforms: &transforms,
+    let quality = Quality {
         tolerance: Some(1e-9),
-        max_error: None,
-        start: SolveStart::Fresh,
-        first_pass: Default::default(),
-        refinement: Refinement {
-            steps: refine,
-            ..Refinement::default()
-        },
-        extent: Default::default(),
+        refine: Some(refine),
+        ..Quality::default()
     };
+    let request = PoseRequest::new(&transforms, quality);
     let (mut state, exec) = (SolveState::default(), Exec::new(&pool, &Silent));
     let solution = rig
         .solve(&body, &request, &mut state, &exec, &mut |_| true)

@@ -7,7 +7,7 @@ use bench::*;
 use glam::{DMat3, DQuat, DVec3};
 use pliant::asset::shapes;
 use pliant::deform::{
-    BodyOptions, DeformableBody, HandleConstraint, HandleSetup, HandleSystem, PoseRequest, SolveStart, SolveState,
+    BodyOptions, DeformableBody, HandleConstraint, HandleSetup, HandleSystem, PoseRequest, Quality, SolveState,
     Transform, exp_rotation, frames,
 };
 use pliant::engine::{SolveMode, digest};
@@ -55,15 +55,11 @@ fn solutions_satisfy_equation_8_to_the_residual_asked_for() {
         };
         let transforms = [Transform::IDENTITY, moved];
         for tolerance in [1e-3, 1e-5, 1e-8] {
-            let request = PoseRequest {
-                transforms: &transforms,
+            let quality = Quality {
                 tolerance: Some(tolerance),
-                max_error: None,
-                start: SolveStart::Fresh,
-                first_pass: Default::default(),
-                refinement: Default::default(),
-                extent: Default::default(),
+                ..Quality::default()
             };
+            let request = PoseRequest::new(&transforms, quality);
             let solution = rig
                 .solve(&body, &request, &mut SolveState::default(), &exec, &mut |_| true)
                 .expect("solved");
@@ -216,7 +212,7 @@ fn fields_are_bounded_and_sum_to_one() {
     let mut handles = ends();
     handles.push(soft("side", ball([0.5, 0.0, 2.0], 0.2), 2.0));
     set(&mut bench, handles);
-    let fields = bench.rig().expect("a rig").rotation_fields();
+    let fields = bench.handle_system().expect("a rig").rotation_fields();
     let nodes = bench.body().nodes();
     let mut inner = 0;
     for i in 0..nodes {

@@ -6,7 +6,7 @@ use crate::support::messages::DeformerMessages;
 use bench::*;
 use glam::{DMat3, DQuat, DVec3};
 use pliant::asset::shapes;
-use pliant::engine::{Deformer, HandlePoses, SolveMode, SolveSettings, SolvedShape, digest};
+use pliant::engine::{Deformer, HandlePoses, ModelShape, SolveMode, SolveSettings, digest};
 use pliant::exec::Exec;
 use pliant::progress::Silent;
 use pliant::wire::{DeformOptions, pb};
@@ -29,7 +29,7 @@ fn posed(bench: &Deformer, entries: &[(&str, pb::HandlePose)]) -> HandlePoses {
         .expect("a pose of these handles")
 }
 
-fn run(bench: &mut Deformer, poses: &HandlePoses, settings: &SolveSettings, mode: SolveMode) -> SolvedShape {
+fn run(bench: &mut Deformer, poses: &HandlePoses, settings: &SolveSettings, mode: SolveMode) -> ModelShape {
     bench
         .solve(poses, settings, mode, &Exec::new(&pool(2), &Silent), &mut |_| true)
         .expect("the pose solves")

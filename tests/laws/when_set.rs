@@ -151,7 +151,7 @@ struct Story<'a> {
 impl Story<'_> {
     fn bend(&self, deformer: &mut Deformer) -> ModelShape {
         let solved = deformer.commit(bend(), &self.settings, &self.exec).expect("a pose");
-        solved.shape()
+        solved
     }
 
     /// Opens the bar and edits it, with handles set all the while or taken off before the edits.
@@ -199,7 +199,7 @@ type HeldNodes = (Vec<u32>, Vec<(u32, u64)>);
 
 /// Of each handle the nodes that it holds and pulls.
 fn held(deformer: &Deformer) -> Vec<HeldNodes> {
-    let setup = deformer.rig().expect("handles").setup();
+    let setup = deformer.handle_system().expect("handles").setup();
     let pulls = |pulls: &[(u32, f64)]| pulls.iter().map(|p| (p.0, p.1.to_bits())).collect();
     setup
         .handles

@@ -64,7 +64,7 @@ impl Rung {
             poses = wire::change_poses(&bench, &poses, &pose).unwrap();
         }
         let first = bench.transforms(&poses).unwrap();
-        let (body, rig) = (bench.body(), bench.rig().unwrap());
+        let (body, rig) = (bench.body(), bench.handle_system().unwrap());
         let second = one_step_on(body, rig, &first);
         let equations = [&first, &second].map(|t| rig.equations(body, t, &pool));
         let center = DVec3::from_array(equations[0].center);
@@ -103,7 +103,7 @@ impl Rung {
     }
 
     pub fn rig(&self) -> &HandleSystem {
-        self.bench.rig().unwrap()
+        self.bench.handle_system().unwrap()
     }
 
     pub fn nodes(&self) -> usize {

@@ -4,7 +4,7 @@ use super::messages::DeformerMessages;
 use super::shapes::obj_text;
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
-use pliant::engine::{Deformer, DeformerLimits, SolveMode, SolveSettings, SolvedShape};
+use pliant::engine::{Deformer, DeformerLimits, ModelShape, SolveMode, SolveSettings};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -136,14 +136,14 @@ pub fn pose(entries: &[(&str, pb::HandlePose)]) -> pb::Pose {
     }
 }
 
-pub fn try_solve(bench: &mut Deformer, pose: &pb::Pose, tolerance: f64, threads: usize) -> Result<SolvedShape, Error> {
+pub fn try_solve(bench: &mut Deformer, pose: &pb::Pose, tolerance: f64, threads: usize) -> Result<ModelShape, Error> {
     let poses = bench.change_poses_message(&bench.initial_poses(), pose)?;
     let pool = pool(threads);
     let (exec, mode) = (Exec::new(&pool, &Silent), SolveMode::Commit);
     Ok(bench.solve(&poses, &settings(tolerance), mode, &exec, &mut |_| true)?)
 }
 
-pub fn solve(bench: &mut Deformer, entries: &[(&str, pb::HandlePose)], tolerance: f64) -> SolvedShape {
+pub fn solve(bench: &mut Deformer, entries: &[(&str, pb::HandlePose)], tolerance: f64) -> ModelShape {
     try_solve(bench, &pose(entries), tolerance, 2).expect("the pose solves")
 }
 

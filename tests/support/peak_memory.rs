@@ -1,5 +1,7 @@
 //! An allocator that knows how much each thread holds, and how much it held at most.
 
+#![allow(unsafe_code)]
+
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 

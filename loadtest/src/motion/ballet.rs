@@ -3,7 +3,7 @@
 use super::stage::{MotionFigure, MotionFolders, MotionStage, bind, figure, skinned, solve};
 use crate::failure::LoadtestFailure;
 use glam::{DQuat, DVec3};
-use pliant::engine::{AnimationRefinement, BLOCK_FRAMES, FrameTimes, QualityReport};
+use pliant::engine::{BLOCK_FRAMES, FrameTimes, QualityReport};
 use pliant::exec::Exec;
 use pliant::motion::decomposition::{DecompositionOptions, ShapeSequence, decompose};
 use pliant::motion::{JointCurves, JointPose, SkeletonJoint};
@@ -21,7 +21,7 @@ const DECOMPOSED: usize = 57;
 /// Edges and flips of Blender's bone heat over six frames of dance.
 const BONE_HEAT_EDGES: f64 = 0.135;
 
-const CARRIED: AnimationRefinement = AnimationRefinement::Carried;
+const CARRIED: Option<u32> = None;
 
 /// Rows 1, 2, 3 and 12.
 pub(super) fn measure_dance(

@@ -8,8 +8,8 @@ use crate::models::read_model_file;
 use glam::{DQuat, DVec3};
 use pliant::asset::{Limits, Model};
 use pliant::engine::{
-    Animation, AnimationLimits, AnimationRefinement, AnimationSettings, ClipRequest, ClipSource, Deformer, FrameChoice,
-    FrameTimes, QualityReport, bind_model,
+    ANIMATION_QUALITY, Animation, AnimationLimits, ClipRequest, ClipSource, Deformer, FrameChoice, FrameTimes,
+    QualityReport, bind_model,
 };
 use pliant::exec::Exec;
 use pliant::motion::bvh::ClipLimits;
@@ -41,7 +41,7 @@ pub(super) fn measure_recorded(
         pool,
     )?;
     let times = stage.times(RATE, most);
-    let animation = stage.animation(times, AnimationRefinement::Carried, pool)?;
+    let animation = stage.animation(times, None, pool)?;
     let mut reported: Vec<QualityReport> = Vec::new();
     let mut volumes: Vec<f64> = Vec::new();
     let triangles = &stage.deformer.model().triangles;
@@ -98,7 +98,7 @@ pub(super) fn measure_own_clip(
             ..Default::default()
         },
         scale: None,
-        settings: AnimationSettings::default(),
+        quality: ANIMATION_QUALITY,
     };
     let limits = AnimationLimits {
         clip: ClipLimits::default(),
@@ -250,7 +250,7 @@ pub(super) fn measure_wrist(folders: &MotionFolders<'_>, pool: &Pool) -> Result<
         rate: RATE,
         count: FRAMES,
     };
-    let animation = stage.animation(times, AnimationRefinement::Carried, pool)?;
+    let animation = stage.animation(times, None, pool)?;
     let mut last = Vec::new();
     solve(&animation, 0..FRAMES, pool, &mut |frame| last = frame.positions)?;
     let pose = animation.driver().pose_at(times.at(FRAMES - 1));

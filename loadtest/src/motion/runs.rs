@@ -4,7 +4,7 @@ use super::ballet::{BALLET, RATE};
 use super::stage::{MotionFigure, MotionFolders, figure, solve};
 use crate::failure::LoadtestFailure;
 use crate::measurements::time_once;
-use pliant::engine::{AnimationRefinement, digest};
+use pliant::engine::digest;
 use pliant::pool::Pool;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -24,7 +24,7 @@ pub(super) fn measure_equality(folders: &MotionFolders<'_>, most: usize) -> Resu
         let pool = Pool::new(threads)?;
         let stage = folders.stage(BALLET, 0, &pool)?;
         let times = stage.times(RATE, usize::MAX);
-        let animation = stage.animation(times, AnimationRefinement::Carried, &pool)?;
+        let animation = stage.animation(times, None, &pool)?;
         let mut all = Vec::new();
         let range = range(times.count);
         solve(&animation, range, &pool, &mut |frame| {
@@ -138,16 +138,8 @@ pub(super) fn measure_rates(folders: &MotionFolders<'_>, most: usize) -> Result<
     let times = stage.times(RATE, most);
     let mut figures = Vec::new();
     for (refinement, what, bounds) in [
-        (
-            AnimationRefinement::Carried,
-            "two threads, carried: frames a second",
-            (8.0, 15.0),
-        ),
-        (
-            AnimationRefinement::Steps(0),
-            "two threads, refine 0: frames a second",
-            (15.0, 25.0),
-        ),
+        (None, "two threads, carried: frames a second", (8.0, 15.0)),
+        (Some(0), "two threads, refine 0: frames a second", (15.0, 25.0)),
     ] {
         let animation = stage.animation(times, refinement, &pool)?;
         let (solved, seconds) = time_once(|| solve(&animation, 0..times.count, &pool, &mut |_| {}));
@@ -162,7 +154,7 @@ pub(super) fn measure_large(folders: &MotionFolders<'_>) -> Result<Vec<MotionFig
     let pool = Pool::new(1)?;
     let stage = folders.stage(BALLET, 1, &pool)?;
     let times = stage.times(RATE, LARGE_FRAMES + 1);
-    let (animation, prepared) = time_once(|| stage.animation(times, AnimationRefinement::Steps(0), &pool));
+    let (animation, prepared) = time_once(|| stage.animation(times, Some(0), &pool));
     let animation = animation?;
     let clock = std::time::Instant::now();
     let mut ends = Vec::new();

@@ -5,8 +5,7 @@ use crate::models::{read_model_file, subdivide_model, write_ply};
 use glam::DVec3;
 use pliant::asset::{FileSet, Limits, Model};
 use pliant::engine::{
-    AnimatedFrame, Animation, AnimationRefinement, AnimationSettings, Deformer, DeformerLimits, FrameTimes,
-    OpenOptions, bind_model,
+    ANIMATION_QUALITY, AnimatedFrame, Animation, Deformer, DeformerLimits, FrameTimes, OpenOptions, Quality, bind_model,
 };
 use pliant::exec::Exec;
 use pliant::motion::bvh::{ClipLimits, read_bvh};
@@ -123,23 +122,18 @@ impl MotionStage {
     }
 
     /// Prepares frames at these times.
-    pub fn animation(
-        &self,
-        times: FrameTimes,
-        refinement: AnimationRefinement,
-        pool: &Pool,
-    ) -> Result<Animation, LoadtestFailure> {
+    pub fn animation(&self, times: FrameTimes, refine: Option<u32>, pool: &Pool) -> Result<Animation, LoadtestFailure> {
         let options = DriveOptions {
             start: times.start,
             ..Default::default()
         };
         let driver = RigDriver::new(&self.rig, self.clip.clone(), &options)?;
-        let settings = AnimationSettings {
-            refinement,
-            ..Default::default()
+        let quality = Quality {
+            refine,
+            ..ANIMATION_QUALITY
         };
         let exec = Exec::new(pool, &Silent);
-        Ok((self.deformer).animation(self.rig.clone(), driver, times, &settings, &exec)?)
+        Ok((self.deformer).animation(self.rig.clone(), driver, times, &quality, &exec)?)
     }
 }
 

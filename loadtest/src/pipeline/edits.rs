@@ -240,7 +240,7 @@ fn open_edit_bench<'a>(
 
 fn solve_commit(bench: &mut Deformer, poses: &HandlePoses, pool: &Pool) -> Result<ModelShape, Error> {
     let (settings, exec) = (SolveSettings::default(), Exec::new(pool, &Silent));
-    Ok((bench.solve(poses, &settings, SolveMode::Commit, &exec, &mut |_| true)?).shape())
+    Ok(bench.solve(poses, &settings, SolveMode::Commit, &exec, &mut |_| true)?)
 }
 
 /// Finds a sphere around the vertex nearest to the middle of the shape, with `count` vertices inside.
@@ -304,8 +304,8 @@ impl EditBench<'_> {
             ms: stages.take_stage_ms(),
             passes,
             repaired: outcome.report.repaired,
-            cycles: solved.cycles,
-            field_cycles: bench.rig().map_or(0, |rig| rig.field_iterations),
+            cycles: solved.stats.cycles,
+            field_cycles: bench.handle_system().map_or(0, |rig| rig.field_iterations),
             nodes: bench.body().nodes(),
             levels: bench.body().hierarchy.level_sizes().len(),
         })

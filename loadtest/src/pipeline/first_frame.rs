@@ -4,7 +4,7 @@ use super::{GRAPH_STAGES, MeasuredModel, PassClock, encode_positions, open_for_j
 use crate::failure::LoadtestFailure;
 use crate::measurements::{Measurements, RunTimes, time_once};
 use pliant::asset::FileSet;
-use pliant::deform::{Error, FirstPass, FitOrder, PoseRequest, Refinement, SolutionExtent, SolveStart, SolveState};
+use pliant::deform::{Error, FitOrder, PoseRequest, Quality, SolveState};
 use pliant::engine::SolveMode;
 use pliant::exec::Exec;
 use pliant::exec::stage_clock::StageClock;
@@ -143,9 +143,9 @@ fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun,
         vertices: bench.rest().len(),
         nodes: bench.body().nodes(),
         bytes: bench.byte_size(),
-        cycles: solved.cycles,
-        residual: solved.residual,
-        max_error: solved.max_error,
+        cycles: solved.stats.cycles,
+        residual: solved.stats.residual,
+        max_error: solved.stats.max_error,
         frame_bytes,
     })
 }
@@ -232,30 +232,25 @@ pub(crate) fn run_energy(args: &EnergyArgs) -> Result<(), LoadtestFailure> {
     let mut bench = open_for_job(files, &job, &exec).map_err(|e| usage(&e))?;
     let poses = set_job_handles(&mut bench, &job, &exec).map_err(|e| usage(&e))?;
     let transforms = bench.transforms(&poses).map_err(|e| usage(&e))?;
-    let Some(rig) = bench.rig() else {
+    let Some(rig) = bench.handle_system() else {
         return Err(usage(&"no handles"));
     };
     let body = bench.body();
     let mut state = SolveState::default();
     let mut solve = |steps: u32, order: FitOrder| -> Result<(f64, f64, usize), Error> {
+        let quality = Quality {
+            refine: Some(steps),
+            ..Quality::default()
+        };
         let request = PoseRequest {
-            transforms: &transforms,
-            tolerance: Some(1e-4),
-            max_error: None,
-            start: SolveStart::Fresh,
-            first_pass: FirstPass::Harmonic,
-            refinement: Refinement {
-                steps,
-                order,
-                ..Refinement::default()
-            },
-            extent: SolutionExtent::Graph,
+            fits: order,
+            ..PoseRequest::new(&transforms, quality)
         };
         let start = Instant::now();
         let solution = rig.solve(body, &request, &mut state, &exec, &mut |_| true)?;
         let ms = start.elapsed().as_secs_f64() * 1e3;
         let energy = rig.energy(body, &transforms, &solution.positions, &pool);
-        Ok((energy, ms, solution.iterations))
+        Ok((energy, ms, solution.stats.cycles as usize))
     };
     let (least, ms, cycles) = solve(args.least, FitOrder::GraphAlone).map_err(|e| usage(&e))?;
     println!(

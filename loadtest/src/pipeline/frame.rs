@@ -120,7 +120,7 @@ fn drag_frames(
         let (settled, settle) = time_once(|| deformer.settle(&Exec::new(pool, &Silent)));
         settled.map_err(wire::Error::from)?;
         if seq > WARM_UP {
-            run.cycles += f64::from(solved.cycles) / args.frames as f64;
+            run.cycles += f64::from(solved.stats.cycles) / args.frames as f64;
             (run.passes.iter_mut().zip(&PASSES)).for_each(|(all, pass)| all.push(seconds_of(&passes, pass.0)));
             run.encode.push(encode);
             run.frames.push(solve + encode);

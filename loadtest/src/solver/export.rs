@@ -48,7 +48,7 @@ pub(crate) fn run_export(args: &ExportArgs) -> Result<(), LoadtestFailure> {
     let (bench, poses) = open_posed(model, &job, &pool).map_err(refuse)?;
     let transforms = bench.transforms(&poses).map_err(|e| refuse(e.into()))?;
     let rig = bench
-        .rig()
+        .handle_system()
         .ok_or_else(|| LoadtestFailure::Usage("the job has no handles".into()))?;
     let (problem, companion) = pose_systems(bench.body(), rig, &transforms, &pool).map_err(LoadtestFailure::Usage)?;
     problem.write(&args.output)?;
@@ -196,7 +196,7 @@ fn free_system(all: &CompanionFile) -> Result<LinearProblem, String> {
 pub(super) mod tests {
     use super::*;
     use pliant::asset::{FileSet, sample};
-    use pliant::deform::{PoseRequest, SolveStart, SolveState};
+    use pliant::deform::{PoseRequest, Quality, SolveState};
 
     /// The creature with its feet held hard, its head turned, and a soft tail.
     const JOB: &str = r#"{"handles": [
@@ -217,14 +217,14 @@ pub(super) mod tests {
     /// The creature's systems, as they are written.
     pub(crate) fn creature_systems(pool: &Pool) -> (LinearProblem, CompanionFile) {
         let (bench, transforms) = bench(pool);
-        pose_systems(bench.body(), bench.rig().unwrap(), &transforms, pool).unwrap()
+        pose_systems(bench.body(), bench.handle_system().unwrap(), &transforms, pool).unwrap()
     }
 
     #[test]
     fn the_exported_system_is_the_one_that_is_solved() {
         let pool = Pool::new(1).unwrap();
         let (bench, transforms) = bench(&pool);
-        let (body, rig) = (bench.body(), bench.rig().unwrap());
+        let (body, rig) = (bench.body(), bench.handle_system().unwrap());
         let (problem, all) = pose_systems(body, rig, &transforms, &pool).unwrap();
         assert!(all.stiffness.as_ref().is_some_and(|s| s.iter().any(|s| *s > 0.0)));
         assert_eq!(problem.matrix.rows(), all.fixed.iter().filter(|f| !**f).count());
@@ -233,15 +233,11 @@ pub(super) mod tests {
         let center = DVec3::from_array(rig.equations(body, &transforms, &pool).center);
         let next = one_step_on(body, rig, &transforms).unwrap();
         for (k, transforms) in [&transforms, &next].into_iter().enumerate() {
-            let request = PoseRequest {
-                transforms,
+            let quality = Quality {
                 tolerance: Some(1e-11),
-                max_error: None,
-                start: SolveStart::Fresh,
-                first_pass: Default::default(),
-                refinement: Default::default(),
-                extent: Default::default(),
+                ..Quality::default()
             };
+            let request = PoseRequest::new(transforms, quality);
             let mut state = SolveState::default();
             let solution = rig
                 .solve(body, &request, &mut state, &Exec::new(&pool, &Silent), &mut |_| true)

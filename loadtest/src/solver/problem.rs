@@ -3,6 +3,8 @@
 //! Little-endian: magic u64, n u64, nnz u64, row starts i64 × (n + 1), columns i32 × nnz, values f64 × nnz, right-hand
 //! sides f64 × 3 n by row, rest positions f64 × 3 n by row. The matrix is whole, with its diagonal.
 
+#![allow(unsafe_code)]
+
 use super::companion::{NumberFile, f64_bytes, write_whole};
 use crate::failure::LoadtestFailure;
 use std::path::Path;

@@ -16,8 +16,8 @@ use super::terminal::{CliFailure, StageSpinner, ThreadArgs, print_json, raised_o
 use crate::asset::{FileSet, Model};
 use crate::deform::EdgeWeights;
 use crate::engine::{
-    AnimatedFrame, Animation, AnimationLimits, AnimationRefinement, AnimationSettings, ClipRequest, ClipSource,
-    Deformer, DeformerLimits, FrameChoice, OpenOptions, left_out_passengers,
+    ANIMATION_QUALITY, AnimatedFrame, Animation, AnimationLimits, ClipRequest, ClipSource, Deformer, DeformerLimits,
+    FrameChoice, OpenOptions, Quality, left_out_passengers,
 };
 use crate::exec::Exec;
 use crate::motion::bvh::ClipLimits;
@@ -111,7 +111,7 @@ struct AnimationSources {
 
 /// Runs the command.
 pub(in crate::cli) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> {
-    let settings = args.settings()?;
+    let quality = args.quality()?;
     let scale = args.scale()?;
     let frames = args.frame_choice()?;
     let output = args.output.output()?;
@@ -128,7 +128,7 @@ pub(in crate::cli) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> 
         rig: sources.rig,
         frames,
         scale,
-        settings,
+        quality,
     };
     let limits = AnimationLimits {
         clip: ClipLimits::default(),
@@ -291,30 +291,30 @@ impl AnimateArgs {
         })
     }
 
-    fn settings(&self) -> Result<AnimationSettings, CliFailure> {
-        let refinement = match self.refine.as_str() {
-            "carried" => AnimationRefinement::Carried,
+    fn quality(&self) -> Result<Quality, CliFailure> {
+        let refine = match self.refine.as_str() {
+            "carried" => None,
             text => match text.parse::<u32>() {
-                Ok(steps) if steps <= 32 => AnimationRefinement::Steps(steps),
+                Ok(steps) if steps <= 32 => Some(steps),
                 _ => {
                     let problem = format!("--refine is \"{text}\", allowed are carried and 0 to 32");
                     return Err(CliFailure::Input(problem));
                 }
             },
         };
-        let mut settings = AnimationSettings {
-            refinement,
-            ..Default::default()
+        let mut quality = Quality {
+            refine,
+            ..ANIMATION_QUALITY
         };
         if let Some(tolerance) = self.tolerance {
             if !(tolerance.is_finite() && (1e-12..1.0).contains(&tolerance)) {
                 let problem = format!("--tolerance is {tolerance}, allowed is 1e-12 up to 1");
                 return Err(CliFailure::Input(problem));
             }
-            settings.tolerance = Some(tolerance);
-            settings.max_error = None;
+            quality.tolerance = Some(tolerance);
+            quality.max_error = None;
         }
-        Ok(settings)
+        Ok(quality)
     }
 
     fn scale(&self) -> Result<Option<f64>, CliFailure> {

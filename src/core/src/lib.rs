@@ -26,5 +26,6 @@ pub use pliant_exec::{pool, progress};
 pub use pliant_mesh as mesh;
 pub use pliant_mesh::graph;
 pub use pliant_motion as motion;
+pub use pliant_reference as reference;
 pub use pliant_render as render;
 pub use pliant_solver as solver;

@@ -37,10 +37,7 @@ fn frames_of_a_drag_ask_for_the_shape_that_they_hand_out() {
         deformer.set_handles(ends, &exec).expect("handles");
         let nodes = deformer.facts().solver.graph_vertices;
         assert!(nodes > 1 << 14, "enough for several threads: {nodes} nodes");
-        let settings = SolveSettings {
-            tolerance: Some(1e-4),
-            ..SolveSettings::default()
-        };
+        let settings = SolveSettings::default();
         // A commit first, whose memory a drag has no use for.
         let pose = |frame: usize| {
             let way = 0.01 * frame as f64;
@@ -55,7 +52,7 @@ fn frames_of_a_drag_ask_for_the_shape_that_they_hand_out() {
             if frame < 20 {
                 continue;
             }
-            cycles += shape.cycles;
+            cycles += shape.stats.cycles;
             let handed_out = size_of_val(shape.positions.as_slice());
             let (calls, bytes) = match threads {
                 1 => (CALLS, BYTES),

@@ -265,7 +265,7 @@ fn an_edit_changes_the_body_and_leaves_what_rides_along_in_its_place() {
             let command = EditCommand {
                 edit,
                 on: EditedShape::Current,
-                shape: &bent.shape(),
+                shape: &bent,
                 poses: &deformer.initial_poses(),
                 settings: Some(&settings),
             };

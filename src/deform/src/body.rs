@@ -161,12 +161,12 @@ impl DeformableBody {
 
     /// From model space to solving coordinates.
     #[inline(always)]
-    pub(crate) fn solving_from_model(&self, p: DVec3) -> DVec3 {
+    pub fn solving_from_model(&self, p: DVec3) -> DVec3 {
         (p - self.origin) / self.unit
     }
 
     /// From solving coordinates to model space.
-    pub(crate) fn model_from_solving(&self, p: DVec3) -> DVec3 {
+    pub fn model_from_solving(&self, p: DVec3) -> DVec3 {
         p * self.unit + self.origin
     }
 
@@ -177,7 +177,7 @@ impl DeformableBody {
     }
 
     /// Neighbours of a node with the weights of the edges.
-    pub(crate) fn edges(&self, node: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
+    pub fn edges(&self, node: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
         let row = self.graph.offsets[node] as usize..self.graph.offsets[node + 1] as usize;
         let weights = self.graph.weights.as_deref();
         row.map(move |e| {

@@ -274,8 +274,7 @@ impl SparseShares {
             some.iter_mut().for_each(|s| s.1 /= sum);
             some
         };
-        let by_node: Vec<Vec<(u32, f32)>> =
-            pool.install(|| (0..nodes).into_par_iter().with_min_len(1024).map(of_node).collect());
+        let by_node: Vec<Vec<(u32, f32)>> = pool.map(nodes, 1024, of_node);
         let mut first = Vec::with_capacity(nodes + 1);
         first.push(0);
         let mut total = 0;
@@ -316,7 +315,7 @@ mod tests {
     use pliant_exec::progress::Silent;
     use pliant_mesh::{Mesh, Weld};
 
-    fn rig(body: &DeformableBody, holds: [Vec<u32>; 3], pool: &Pool) -> HandleSystem {
+    fn handles(body: &DeformableBody, holds: [Vec<u32>; 3], pool: &Pool) -> HandleSystem {
         let holds = holds.map(|nodes| HandleConstraint {
             nodes,
             position: true,
@@ -327,7 +326,7 @@ mod tests {
             handles: holds.to_vec(),
             ..Default::default()
         };
-        HandleSystem::build(body, setup, &Exec::new(pool, &Silent)).expect("a rig")
+        HandleSystem::build(body, setup, &Exec::new(pool, &Silent)).expect("a handles")
     }
 
     #[test]
@@ -343,10 +342,10 @@ mod tests {
         let top = (0u32..).zip(&positions).filter(|(_, p)| p.z > 0.995).map(|(n, _)| n);
         let top: Vec<u32> = top.take(2).collect();
         let side = (0u32..).zip(&positions).find(|(_, p)| p.x > 0.99).map(|(n, _)| n);
-        let rig = rig(&body, [below(-0.7), top, side.into_iter().collect()], &pool);
+        let handles = handles(&body, [below(-0.7), top, side.into_iter().collect()], &pool);
         let (plain, spread) = (
-            &rig.rotation_fields,
-            rig.blending_fields.as_ref().expect("two are small"),
+            &handles.rotation_fields,
+            handles.blending_fields.as_ref().expect("two are small"),
         );
         let graph = &body.graph;
         let steepest = |fields: &HarmonicFields, k: usize| {
@@ -367,7 +366,7 @@ mod tests {
             let values = [0, 1, 2].map(|k| spread.of(k)[i]);
             assert!(values.iter().all(|u| (0.0..=1.0).contains(u)), "{values:?}");
             assert!((values.iter().sum::<f32>() - 1.0).abs() < 1e-5, "{values:?}");
-            let owner = rig.rotation.hard[i];
+            let owner = handles.rotation.hard[i];
             if owner != UNHELD {
                 assert!(
                     (values[owner as usize] - 1.0).abs() < 1e-6,
@@ -388,6 +387,6 @@ mod tests {
             nodes.filter(|(_, p)| keep(p)).map(|(n, _)| n).collect::<Vec<_>>()
         };
         let holds = [cap(&|p| p.z < -0.8), cap(&|p| p.z > 0.8), cap(&|p| p.x > 0.8)];
-        assert!(rig(&body, holds, &pool).blending_fields.is_none());
+        assert!(handles(&body, holds, &pool).blending_fields.is_none());
     }
 }

@@ -3,10 +3,10 @@
 //! The first pass (section 2.1) finds how every vertex is turned and scaled, by blending the handles' rotations and
 //! scales with bounded harmonic fields. The second pass (section 2.2) solves equation (8) for positions that agree best
 //! with those local frames. Both solve on one multigrid hierarchy, which depends on the graph alone. Beyond the paper,
-//! [`Refinement`] fits the frames to the result and solves again.
+//! the frames are fitted to the result and it is solved again, [`Quality::refine`] times.
 //!
 //! Data flows one way: [`DeformableBody`] (graph and hierarchy) → [`HandleSystem`] (a set of handles with its fields and
-//! systems) → [`PoseSolution`] (positions for the handles' transforms). This crate knows no model, no request and no clock.
+//! systems) → [`SolvedNodes`] (positions for the handles' transforms). This crate knows no model, no request and no clock.
 //!
 //! ```
 //! use glam::DVec3;
@@ -34,15 +34,8 @@
 //! let setup = HandleSetup { handles: vec![handle_at(low), handle_at(high)], ..Default::default() };
 //! let handles = HandleSystem::build(&body, setup, &exec)?;
 //! let up = Transform { translation: DVec3::Y, ..Transform::IDENTITY };
-//! let request = PoseRequest {
-//!     transforms: &[Transform::IDENTITY, up],
-//!     tolerance: Some(1e-4),
-//!     max_error: None,
-//!     start: SolveStart::Fresh,
-//!     first_pass: FirstPass::Harmonic,
-//!     refinement: Refinement::default(),
-//!     extent: SolutionExtent::Graph,
-//! };
+//! let transforms = [Transform::IDENTITY, up];
+//! let request = PoseRequest::new(&transforms, Quality::default());
 //! let solved = handles.solve(&body, &request, &mut SolveState::default(), &exec, &mut |_| true)?;
 //! for (p, now) in mesh.positions.iter().zip(&solved.positions) {
 //!     assert!(now.y >= p.y - 1e-3 && now.y <= p.y + 1.001);
@@ -58,36 +51,38 @@
 //! | `fields` | bounded harmonic fields of the handles |
 //! | `rotation` | transforms of handles, fits and blends of rotations |
 //! | `first_pass` | the local frame of each node |
-//! | `second_pass` | equation (8), solving it, and fitting rotations to the result |
+//! | `pose` | what a pose is to come to: [`PoseRequest`], [`Quality`], [`SolvedNodes`] |
+//! | `solve` | [`HandleSystem::solve`], which does both passes |
+//! | `second_pass` | equation (8), fitting rotations to its result, and poses of a drag |
 //! | `thin_faces` | needles and caps, which follow the shape around them |
 //! | `folds` | faces that turned over, brought back where nothing forces them |
-//! | `comparison` | other methods, to compare with: orientation diffusion, linear frames, radial basis functions |
 
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
 mod body;
-mod comparison;
 mod error;
 mod fields;
 mod first_pass;
 mod folds;
 mod handles;
+mod pose;
 mod rotation;
 mod second_pass;
+mod solve;
 mod thin_faces;
 
 pub use body::{BodyOptions, CoarseOperators, DeformableBody, EdgeWeights, TieFamilies, TieOptions, VolumeMode};
-pub use comparison::SpatialRbf;
 pub use error::Error;
 pub use fields::HarmonicFields;
-pub use first_pass::{FirstPass, LocalFrame, frames};
+pub use first_pass::{LocalFrame, LocalRotation, PoseBlend, frames, pack_rotation};
 pub use folds::{FaceChanges, FaceSurroundings, unfold_faces};
 pub use handles::{
-    FreePartPolicy, HandleConstraint, HandleMotion, HandleSetup, HandleShares, HandleSystem, carry, shares_difference,
+    FreePartPolicy, HandleConstraint, HandleMotion, HandleSetup, HandleShares, HandleSystem, NodeOwnership, UNHELD,
+    carry, shares_difference,
 };
-pub use rotation::{Transform, blend_rotations, exp_rotation, fit_rigid_motion, log_rotation};
-pub use second_pass::{
-    FitOrder, PoseMethod, PoseRequest, PoseSolution, Refinement, SecondPassEquations, SolutionExtent, SolveStart,
-    SolveState, SolveUpdate,
+pub use pose::{
+    FirstPass, FitOrder, PoseRequest, PoseStats, Quality, SolutionExtent, SolveStart, SolveUpdate, SolvedNodes,
 };
+pub use rotation::{Transform, blend_rotations, exp_rotation, fade, fit_rigid_motion, log_rotation};
+pub use second_pass::{SecondPassEquations, SolveState};
 pub use thin_faces::NeedlesAndCaps;

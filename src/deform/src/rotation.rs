@@ -204,7 +204,7 @@ pub fn blend_rotations(terms: &[(f64, DVec3)]) -> DQuat {
 }
 
 /// From 0 at the first angle smoothly to 1 at the second.
-pub(crate) fn fade(angle: f64, [from, to]: [f64; 2]) -> f64 {
+pub fn fade(angle: f64, [from, to]: [f64; 2]) -> f64 {
     let t = ((angle - from) / (to - from)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }

@@ -3,6 +3,7 @@
 //! The crates below pliant-wire never use rayon's global pool: they are given a [`Pool`] and run inside it, so that a caller
 //! decides how many cores a piece of work may use. Results never depend on the number of threads.
 
+use rayon::prelude::*;
 use std::sync::Arc;
 
 /// A bounded set of threads on which parallel work runs. Cloning shares the threads.
@@ -67,6 +68,17 @@ impl Pool {
     /// Runs `work` on this pool, blocking the caller until it is done; rayon calls inside `work` stay on this pool.
     pub fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
         self.threads.install(work)
+    }
+
+    /// What `value` returns for each number below `count`, computed on this pool; a thread takes at least `fewest` of them at a time.
+    ///
+    /// ```
+    /// use pliant_exec::pool::Pool;
+    /// assert_eq!(Pool::new(1)?.map(3, 1024, |i| i * i), [0, 1, 4]);
+    /// # Ok::<(), pliant_exec::pool::PoolError>(())
+    /// ```
+    pub fn map<T: Send>(&self, count: usize, fewest: usize, value: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
+        self.install(|| (0..count).into_par_iter().with_min_len(fewest).map(value).collect())
     }
 
     /// Runs `work` on this pool while the calling thread, which is not one of the pool's, runs `here`; returns what that returns once

@@ -67,6 +67,7 @@ pub async fn run(
 /// Memory that one thread has freed is not used by another then. Sessions move over the threads of a server, so its memory would grow
 /// to what all arenas have needed at some time. With one arena it stays level (`loadtest soak`); large blocks are the operating
 /// system's either way. Call it when the process starts.
+#[allow(unsafe_code)]
 pub fn use_one_heap() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {

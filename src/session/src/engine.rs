@@ -8,7 +8,7 @@ use glam::DVec3;
 use pliant_asset::{FileSet, Format, WrittenFiles};
 use pliant_core::engine::{
     Deformer, DeformerFacts, DeformerLimits, Error, HandlePose, HandlePoses, HandleSet, ModelShape, OpenOptions,
-    Shader, SolveMode, SolveSettings, SolveUpdate, SolvedShape,
+    Shader, SolveMode, SolveSettings, SolveUpdate,
 };
 use pliant_exec::Exec;
 
@@ -45,7 +45,7 @@ pub trait Engine: Send + 'static {
         mode: SolveMode,
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
-    ) -> Result<SolvedShape, Error>;
+    ) -> Result<ModelShape, Error>;
     /// Writes the model with new positions.
     fn write(&self, positions: &[DVec3], format: Format, exec: &Exec<'_>) -> Result<WrittenFiles, Error>;
     /// What makes normals and tangents of a deformed shape.
@@ -124,7 +124,7 @@ impl Engine for Deformer {
         mode: SolveMode,
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
-    ) -> Result<SolvedShape, Error> {
+    ) -> Result<ModelShape, Error> {
         Self::solve(self, poses, settings, mode, exec, watch)
     }
 

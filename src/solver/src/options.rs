@@ -115,6 +115,19 @@ pub enum SolveMethod {
     ConjugateGradients,
 }
 
+impl SolveMethod {
+    /// Its name in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Trivial => "trivial",
+            Self::Direct => "direct",
+            Self::Multigrid => "multigrid",
+            Self::PaperCycles => "paper-cycles",
+            Self::ConjugateGradients => "conjugate-gradients",
+        }
+    }
+}
+
 /// What a solve did.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SolveStats {

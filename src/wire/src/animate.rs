@@ -9,7 +9,7 @@ use bytes::Bytes;
 use pb::animate_options::{PlayedAs, Root, SkipFirst, Source};
 use pb::animation_report::{HeldNodes, Totals};
 use pliant_core::engine::{
-    AnimationRefinement, AnimationSettings, ClipRequest, ClipSource, FrameChoice, FrameSums, PlayedForm, RigHandleFacts,
+    ANIMATION_QUALITY, ClipRequest, ClipSource, FrameChoice, FrameSums, PlayedForm, Quality, RigHandleFacts,
 };
 use pliant_motion::rig::MotionRig;
 use serde_json::Value;
@@ -115,7 +115,7 @@ pub fn animate_order(options: &pb::AnimateOptions, max_window: u32, clip_bytes: 
             *MotionRig::SCALES.end(),
             "scale",
         )?,
-        settings: settings(options)?,
+        quality: quality(options)?,
     };
     Ok(AnimateOrder {
         request,
@@ -152,23 +152,19 @@ fn frame_choice(options: &pb::AnimateOptions) -> Result<FrameChoice, Error> {
     })
 }
 
-/// How frames are solved.
-fn settings(options: &pb::AnimateOptions) -> Result<AnimationSettings, Error> {
-    let refinement = match options.refine {
-        None => AnimationRefinement::Carried,
-        Some(steps) if steps <= MOST_REFINE => AnimationRefinement::Steps(steps),
-        Some(steps) => {
-            let problem = format!("is {steps}, allowed are 0 to {MOST_REFINE}; absent is carried");
-            return Err(Error::invalid("refine", problem));
-        }
-    };
-    let usual = AnimationSettings {
-        refinement,
-        ..Default::default()
+/// How exactly frames are solved.
+fn quality(options: &pb::AnimateOptions) -> Result<Quality, Error> {
+    if let Some(steps) = options.refine.filter(|steps| *steps > MOST_REFINE) {
+        let problem = format!("is {steps}, allowed are 0 to {MOST_REFINE}; absent is carried");
+        return Err(Error::invalid("refine", problem));
+    }
+    let usual = Quality {
+        refine: options.refine,
+        ..ANIMATION_QUALITY
     };
     Ok(match optional_within(options.tolerance, 1e-12, 1.0, "tolerance")? {
         None => usual,
-        tolerance => AnimationSettings {
+        tolerance => Quality {
             tolerance,
             max_error: None,
             ..usual
@@ -304,7 +300,7 @@ mod tests {
         let request = &order.request;
         assert_eq!(request.clip, ClipSource::OfModel("0".into()));
         assert_eq!((&request.frames, request.scale), (&FrameChoice::default(), None));
-        assert_eq!(request.settings, AnimationSettings::default());
+        assert_eq!(request.quality, ANIMATION_QUALITY);
         assert_eq!((order.root, order.window), (RootMotion::Apart, 2));
         assert_eq!(order.played, PlayedForm::Morphs(64));
     }

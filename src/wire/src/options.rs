@@ -3,8 +3,7 @@
 use super::check::{enumerated, number, optional_within};
 use super::frames::{FrameEncoding, FrameOutput};
 use super::{Error, pb};
-use pliant_core::engine::SolveSettings;
-use pliant_deform::{FirstPass, FitOrder};
+use pliant_core::engine::{Method, Quality, SolveSettings};
 
 /// Most fits of rotations in one solve.
 const MOST_REFINE: u32 = 1000;
@@ -77,25 +76,27 @@ impl DeformOptions {
                            the two, or changedOnly with F32, U16 or MESHOPT";
             return Err(Error::invalid(at("output.changedOnly"), problem));
         }
-        let solve = SolveSettings {
+        let quality = Quality {
             tolerance: if tolerance.is_none() && max_error.is_none() {
-                Some(1e-4)
+                Quality::DEFAULT.tolerance
             } else {
                 tolerance
             },
             max_error,
             refine: options.refine,
-            fit_order: FitOrder::CoarseFirst,
-            rotation_smoothing: options.rotation_smoothing,
-            first_pass: match first_pass {
-                pb::options::FirstPass::Harmonic => FirstPass::Harmonic,
-                pb::options::FirstPass::Diffusion => FirstPass::Diffusion,
-                pb::options::FirstPass::LinearFrames => FirstPass::LinearFrames,
-            },
-            spatial_rbf: method == pb::options::Method::SpatialRbf,
+            smoothing: options.rotation_smoothing,
+        };
+        let method = match (method, first_pass) {
+            (pb::options::Method::SpatialRbf, _) => Method::SpatialRbf,
+            (_, pb::options::FirstPass::Harmonic) => Method::Harmonic,
+            (_, pb::options::FirstPass::Diffusion) => Method::Diffusion,
+            (_, pb::options::FirstPass::LinearFrames) => Method::LinearFrames,
         };
         Ok(Self {
-            solve,
+            solve: SolveSettings {
+                method,
+                ..quality.into()
+            },
             budget_ms,
             progressive: options.progressive,
             output: FrameOutput {
@@ -124,27 +125,20 @@ mod tests {
         let check = |options: &pb::Options| DeformOptions::check(options, "options", 8);
         let options = pb::Options::default;
         for (first_pass, expected) in [
-            (pb::options::FirstPass::Harmonic, FirstPass::Harmonic),
-            (pb::options::FirstPass::Diffusion, FirstPass::Diffusion),
-            (pb::options::FirstPass::LinearFrames, FirstPass::LinearFrames),
+            (pb::options::FirstPass::Harmonic, Method::Harmonic),
+            (pb::options::FirstPass::Diffusion, Method::Diffusion),
+            (pb::options::FirstPass::LinearFrames, Method::LinearFrames),
         ] {
             let first_pass = first_pass as i32;
-            let settings = check(&pb::Options {
-                first_pass,
-                ..options()
-            })
-            .expect("valid");
-            assert_eq!(
-                (settings.solve.first_pass, settings.solve.spatial_rbf),
-                (expected, false)
-            );
+            for (method, expected) in [(0, expected), (1, Method::SpatialRbf)] {
+                let options = pb::Options {
+                    first_pass,
+                    method,
+                    ..options()
+                };
+                assert_eq!(check(&options).expect("valid").solve.method, expected);
+            }
         }
-        assert!(
-            check(&pb::Options { method: 1, ..options() })
-                .expect("valid")
-                .solve
-                .spatial_rbf
-        );
         for (wrong, field) in [
             (pb::Options { method: 7, ..options() }, "options.method"),
             (
@@ -166,12 +160,15 @@ mod tests {
             refine: Some(0),
             ..Default::default()
         });
-        assert_eq!((fine.solve.tolerance, fine.window), (Some(1e-4), 2));
+        assert_eq!((fine.solve.quality.tolerance, fine.window), (Some(1e-4), 2));
         assert_eq!(check(&pb::Options::default()), DeformOptions::with_defaults(8));
         let by_error = check(&pb::Options {
             max_error: 1e-3,
             ..Default::default()
         });
-        assert_eq!((by_error.solve.tolerance, by_error.solve.max_error), (None, Some(1e-3)));
+        assert_eq!(
+            (by_error.solve.quality.tolerance, by_error.solve.quality.max_error),
+            (None, Some(1e-3))
+        );
     }
 }

@@ -28,7 +28,7 @@ fn handles_hold_what_lies_in_their_regions_after_an_edit() {
 fn a_region_that_a_pose_has_moved_is_the_list_of_its_vertices() {
     let mut bench = held();
     let before = bench.facts_message().handles[1].vertices;
-    let shape = solve(&mut bench, &[("top", turn(DVec3::X * 1.2, DVec3::ZERO))], 1e-5).shape();
+    let shape = solve(&mut bench, &[("top", turn(DVec3::X * 1.2, DVec3::ZERO))], 1e-5);
     edit(&mut bench, &midpoint(Some(half_space([0.0, 0.0, -1.0], 1.4))), &shape).expect("an edit");
     assert_eq!(
         bench.facts_message().handles[1].vertices,
@@ -149,7 +149,7 @@ fn a_curve_without_a_length_is_refused() {
 fn an_empty_region_says_which_shape_it_was_taken_in() {
     let mut bench = held();
     let up = shift(DVec3::new(0.0, 0.0, 5.0));
-    let bent = solved(&mut bench, &[("top", up)]).shape();
+    let bent = solved(&mut bench, &[("top", up)]);
     let nowhere = delete(above(50.0), false);
     let reported = refusal(&mut bench, &nowhere, &bent);
     assert!(reported.contains("taken in the current shape"), "{reported}");

@@ -7,7 +7,8 @@ use pliant::deform::VolumeMode;
 use pliant::edit::{KeptSide, SubdivisionScheme};
 use pliant::engine::{
     CutLine, Deformer, DeformerLimits, Edit, Error, Falloff, FalloffCurve, Handle, HandleConstrains, HandlePose,
-    HandleScale, HandleSet, MergeJoin, ModelMerge, OpenOptions, Plane, Region, RemeshCommand, SolveSettings, digest,
+    HandleScale, HandleSet, MergeJoin, Method, ModelMerge, OpenOptions, Plane, Quality, Region, RemeshCommand,
+    SolveSettings, digest,
 };
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -147,11 +148,11 @@ fn pose(deformer: &mut Deformer, draw: &mut ByteDraw<'_>, exec: &Exec<'_>) {
     if deformer.set_handles(handles, exec).is_err() {
         return;
     }
-    let settings = SolveSettings {
+    let settings = SolveSettings::from(Quality {
         tolerance: Some(1e-2),
         refine: Some(1),
-        ..SolveSettings::default()
-    };
+        ..Quality::default()
+    });
     let moved = HandlePose::rotation(draw.vector());
     if let Ok(shape) = deformer.commit([("b", moved)], &settings, exec) {
         assert!(
@@ -285,9 +286,15 @@ pub fn handles(bytes: &[u8]) {
         return;
     }
     let settings = SolveSettings {
-        tolerance: Some(1e-2),
-        refine: Some(draw.below(3) as u32),
-        spatial_rbf: draw.below(8) == 0,
+        quality: Quality {
+            tolerance: Some(1e-2),
+            refine: Some(draw.below(3) as u32),
+            ..Quality::default()
+        },
+        method: match draw.below(8) {
+            0 => Method::SpatialRbf,
+            _ => Method::Harmonic,
+        },
         ..SolveSettings::default()
     };
     let poses: Vec<(String, HandlePose)> = (set.handles.iter())

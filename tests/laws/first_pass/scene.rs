@@ -2,10 +2,12 @@
 
 use glam::{DMat3, DQuat, DVec3};
 use pliant::asset::shapes;
+use pliant::core::reference::{SpatialRbf, diffuse, linear_frames};
 use pliant::deform::{
-    BodyOptions, DeformableBody, FirstPass, HandleConstraint, HandleSetup, HandleSystem, PoseRequest, PoseSolution,
-    SolveStart, SolveState, SpatialRbf, Transform, VolumeMode, exp_rotation, log_rotation,
+    BodyOptions, DeformableBody, FirstPass, HandleConstraint, HandleSetup, HandleSystem, PoseRequest, Quality,
+    SolveStart, SolveState, SolvedNodes, Transform, VolumeMode, exp_rotation, log_rotation,
 };
+use pliant::engine::Method;
 use pliant::exec::Exec;
 use pliant::mesh::{Mesh, Weld};
 use pliant::pool::Pool;
@@ -13,18 +15,11 @@ use pliant::progress::Silent;
 
 pub type Shape = (Vec<DVec3>, Vec<[u32; 3]>);
 
-/// How a pose is solved.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Way {
-    Graph(FirstPass),
-    Space,
-}
-
-pub const WAYS: [Way; 4] = [
-    Way::Graph(FirstPass::Harmonic),
-    Way::Graph(FirstPass::Diffusion),
-    Way::Graph(FirstPass::LinearFrames),
-    Way::Space,
+pub const METHODS: [Method; 4] = [
+    Method::Harmonic,
+    Method::Diffusion,
+    Method::LinearFrames,
+    Method::SpatialRbf,
 ];
 
 pub struct Scene {
@@ -169,11 +164,11 @@ impl Scene {
             .any(|h| h.nodes.contains(&(node as u32)))
     }
 
-    pub fn solve(&self, way: Way, transforms: &[Transform], tolerance: f64) -> PoseSolution {
+    pub fn solve(&self, method: Method, transforms: &[Transform], tolerance: f64) -> SolvedNodes {
         self.solve_in(
             &mut SolveState::default(),
             SolveStart::Fresh,
-            way,
+            method,
             transforms,
             tolerance,
         )
@@ -183,37 +178,31 @@ impl Scene {
         &self,
         state: &mut SolveState,
         start: SolveStart,
-        way: Way,
+        method: Method,
         transforms: &[Transform],
         tolerance: f64,
-    ) -> PoseSolution {
-        let solved = match way {
-            Way::Space => SpatialRbf::default().solve(
-                &self.rig,
-                &self.body,
-                transforms,
-                state,
-                &Exec::new(&self.pool, &Silent),
-            ),
-            Way::Graph(first_pass) => {
-                let request = PoseRequest {
-                    transforms,
-                    tolerance: Some(tolerance),
-                    max_error: None,
-                    start,
-                    first_pass,
-                    refinement: Default::default(),
-                    extent: Default::default(),
-                };
-                self.rig.solve(
-                    &self.body,
-                    &request,
-                    state,
-                    &Exec::new(&self.pool, &Silent),
-                    &mut |_| true,
-                )
+    ) -> SolvedNodes {
+        let exec = Exec::new(&self.pool, &Silent);
+        let (body, handles) = (&self.body, &self.rig);
+        let turns = match method {
+            Method::Harmonic => None,
+            Method::Diffusion => diffuse(body, handles, transforms, &exec).expect("rotations"),
+            Method::LinearFrames => linear_frames(body, handles, transforms, &self.pool),
+            Method::SpatialRbf => {
+                let solved = SpatialRbf::default().solve(handles, body, transforms, state, &exec);
+                return solved.expect("solved");
             }
         };
+        let quality = Quality {
+            tolerance: Some(tolerance),
+            ..Quality::default()
+        };
+        let request = PoseRequest {
+            start,
+            first_pass: turns.as_deref().map_or(FirstPass::Harmonic, FirstPass::Given),
+            ..PoseRequest::new(transforms, quality)
+        };
+        let solved = handles.solve(body, &request, state, &exec, &mut |_| true);
         solved.expect("solved")
     }
 

@@ -209,7 +209,7 @@ async fn an_edit_of_the_rest_shape_solves_as_the_pose_was_solved() {
     );
     for refine in [0, 3] {
         let mut pose = turned(0.9);
-        pose.options.solve.refine = Some(refine);
+        pose.options.solve.quality.refine = Some(refine);
         let bent = fixture.solve(pose).await;
         let edit = fixture.edit(idle()).await;
         assert_eq!(edit.digest, bent.digest, "refine {refine}");

@@ -10,8 +10,7 @@ use glam::DVec3;
 use pliant::asset::{self, FileSet, Format, WrittenFiles};
 use pliant::engine::{
     DeformerFacts, DeformerLimits, Error, Handle, HandleFacts, HandlePose, HandlePoses, HandleSet, MeshCounts,
-    ModelFacts, ModelShape, OpenOptions, Region, Shader, SolveMode, SolveSettings, SolveUpdate, SolvedShape,
-    SolverFacts,
+    ModelFacts, ModelShape, OpenOptions, PoseStats, Region, Shader, SolveMode, SolveSettings, SolveUpdate, SolverFacts,
 };
 use pliant::exec::Exec;
 use pliant::progress::{Cancelled, Progress};
@@ -230,7 +229,7 @@ impl Engine for Fake {
         mode: SolveMode,
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
-    ) -> Result<SolvedShape, Error> {
+    ) -> Result<ModelShape, Error> {
         self.control.solves.fetch_add(1, SeqCst);
         let handles = self.handles.handles.len();
         if self
@@ -270,19 +269,20 @@ impl Engine for Fake {
                 max_error: residual,
                 positions: &|| at(1.0 - residual),
             };
-            if !watch(&watched) || residual <= settings.tolerance.unwrap_or(1e-4) {
+            if !watch(&watched) || residual <= settings.quality.tolerance.unwrap_or(1e-4) {
                 break residual;
             }
         };
         let positions = Arc::new(at(if residual <= 1e-4 { 1.0 } else { 1.0 - residual }));
-        let ModelShape { id, positions } = ModelShape::from_positions(positions);
-        Ok(SolvedShape {
-            id,
-            positions,
-            cycles,
-            residual,
-            max_error: residual,
-            solver: "fake",
+        Ok(ModelShape {
+            stats: PoseStats {
+                cycles,
+                refined: 0,
+                residual,
+                max_error: residual,
+                solver: "fake",
+            },
+            ..ModelShape::from_positions(positions)
         })
     }
 

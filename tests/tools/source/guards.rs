@@ -90,8 +90,18 @@ fn no_type_name_stands_twice_without_a_reason() {
 }
 
 /// Crates whose results depend on their arguments alone.
-const COMPUTING: [&str; 10] = [
-    "asset", "core", "deform", "edit", "exec", "mesh", "motion", "render", "solver", "wire",
+const COMPUTING: [&str; 11] = [
+    "asset",
+    "core",
+    "deform",
+    "edit",
+    "exec",
+    "mesh",
+    "motion",
+    "reference",
+    "render",
+    "solver",
+    "wire",
 ];
 
 /// Names that computing crates do without outside tests, and what to do instead.

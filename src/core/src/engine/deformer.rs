@@ -1,7 +1,7 @@
 //! The deformer: one model, everything derived from it, its handles, and poses solved on request.
 
 use crate::asset::{BoneLengthRule, FileSet, Format, Geometry, Model, ShapeFollowers, WrittenFiles};
-use crate::deform::{DeformableBody, HandleSystem, SolveState, SpatialRbf};
+use crate::deform::{DeformableBody, HandleSystem, PoseStats, SolveState};
 use crate::engine::derived_structures::{DerivedStructures, admit_bytes};
 use crate::engine::error::Error;
 use crate::engine::facts::{
@@ -19,6 +19,7 @@ use crate::engine::shape::{ModelShape, ShapeId, TopologyId};
 use crate::exec::Exec;
 use crate::mesh::{Mesh, MeshReport, self_intersections};
 use crate::pool::Pool;
+use crate::reference::SpatialRbf;
 use glam::DVec3;
 use std::cell::OnceCell;
 use std::sync::Arc;
@@ -37,7 +38,7 @@ pub struct Deformer {
     /// The name of the next new state.
     pub(super) next_topology: TopologyId,
     pub(super) handles: ResolvedHandles,
-    pub(super) rig: Option<HandleSystem>,
+    pub(super) handle_system: Option<HandleSystem>,
     pub(super) state: SolveState,
     /// For poses that are solved by deforming space.
     pub(super) spatial_rbf: SpatialRbf,
@@ -96,23 +97,28 @@ impl Deformer {
             ..ModelTopology::new(model)
         };
         let derived = DerivedStructures::build(TopologyId(0), Arc::new(topology), options, limits, exec)?;
-        Ok(Self {
-            derived: Arc::new(derived),
+        let limits = DeformerLimits {
+            graph_bytes: limits.graph_bytes.or(Some(limits.memory_bytes)),
+            ..*limits
+        };
+        Ok(Self::without_handles(Arc::new(derived), options, limits))
+    }
+
+    fn without_handles(derived: Arc<DerivedStructures>, options: &OpenOptions, limits: DeformerLimits) -> Self {
+        Self {
+            next_topology: derived.lineage.id.next(),
+            derived,
             options: options.clone(),
-            limits: DeformerLimits {
-                graph_bytes: limits.graph_bytes.or(Some(limits.memory_bytes)),
-                ..*limits
-            },
             room: limits.memory_bytes,
-            next_topology: TopologyId(1),
+            limits,
             handles: ResolvedHandles::default(),
-            rig: None,
+            handle_system: None,
             state: SolveState::default(),
             spatial_rbf: SpatialRbf::default(),
             committed: None,
             solutions: 0,
             past: Vec::new(),
-        })
+        }
     }
 
     /// A deformer on another state of the model, without handles. What follows from the present one is kept for the way back
@@ -133,18 +139,11 @@ impl Deformer {
             .count();
         past.drain(..past.len() - kept);
         Self {
-            derived,
-            options: self.options.clone(),
-            limits: self.limits,
             room: self.room,
             next_topology,
-            handles: ResolvedHandles::default(),
-            rig: None,
-            state: SolveState::default(),
-            spatial_rbf: SpatialRbf::default(),
-            committed: None,
             solutions: self.solutions,
             past,
+            ..Self::without_handles(derived, &self.options, self.limits)
         }
     }
 
@@ -187,6 +186,7 @@ impl Deformer {
         ModelShape {
             id: self.rest_id(),
             positions: Arc::clone(self.rest()),
+            stats: PoseStats::default(),
         }
     }
 
@@ -238,8 +238,8 @@ impl Deformer {
     }
 
     /// The handles on the body, once set.
-    pub fn rig(&self) -> Option<&HandleSystem> {
-        self.rig.as_ref()
+    pub fn handle_system(&self) -> Option<&HandleSystem> {
+        self.handle_system.as_ref()
     }
 
     /// Rest positions, one per render vertex.
@@ -264,7 +264,7 @@ impl Deformer {
         // The files are one and the same.
         let files = self.model().files.total_bytes();
         let past: u64 = self.past.iter().map(|d| d.byte_size().saturating_sub(files)).sum();
-        past + self.rig.as_ref().map_or(0, HandleSystem::byte_size) as u64
+        past + self.handle_system.as_ref().map_or(0, HandleSystem::byte_size) as u64
     }
 
     /// Drops the states that were left.
@@ -276,7 +276,7 @@ impl Deformer {
     /// handles then.
     pub fn release_memory(&mut self) {
         self.handles = ResolvedHandles::default();
-        self.rig = None;
+        self.handle_system = None;
         self.state = SolveState::default();
         self.spatial_rbf = SpatialRbf::default();
         self.committed = None;
@@ -319,12 +319,12 @@ impl Deformer {
 
     /// What a user should know of `poses`: handles that take tied parts from each other. Poses of other handles give none.
     pub fn pose_warnings(&self, poses: &HandlePoses) -> Vec<DeformerWarning> {
-        let (Some(rig), Ok(transforms)) = (&self.rig, self.transforms(poses)) else {
+        let (Some(system), Ok(transforms)) = (&self.handle_system, self.transforms(poses)) else {
             return Vec::new();
         };
         let pulled = PulledTies {
             body: self.body(),
-            rig,
+            system,
             mesh: self.mesh(),
             primitives: &self.geometry().primitives,
             handles: self.handles(),
@@ -375,18 +375,18 @@ impl Deformer {
             exec.check()?;
             admit_bytes(held + held_by_handles, &self.room_limits(), exec)
         };
-        let (resolved, rigging) = resolve_handles(&regions, body, handles, self.options.policy, &admit)?;
-        let rig = match is_empty {
+        let (resolved, setup) = resolve_handles(&regions, body, handles, self.options.policy, &admit)?;
+        let system = match is_empty {
             true => None,
-            false => Some(HandleSystem::build(body, rigging, exec)?),
+            false => Some(HandleSystem::build(body, setup, exec)?),
         };
-        let large = match &rig {
-            Some(rig) => warn_of_large_faces(&self.derived.mesh, rig, body.diagonal, 0.0, exec)?,
+        let large = match &system {
+            Some(system) => warn_of_large_faces(&self.derived.mesh, system, body.diagonal, 0.0, exec)?,
             None => None,
         };
         self.handles = resolved;
         self.handles.warnings.extend(large);
-        self.rig = rig;
+        self.handle_system = system;
         self.state.reset();
         self.spatial_rbf = SpatialRbf::default();
         Ok(())
@@ -433,9 +433,11 @@ impl Deformer {
     /// # Errors
     /// Those of [`Deformer::transforms`].
     pub fn constraint_error(&self, positions: &[DVec3], poses: &HandlePoses) -> Result<f64, Error> {
-        let Some(rig) = self.rig() else { return Ok(0.0) };
+        let Some(system) = self.handle_system() else {
+            return Ok(0.0);
+        };
         let now = |s: usize| positions[self.derived.mesh.render_vertices_of(s as u32)[0] as usize];
-        let farthest = rig.largest_misplacement(self.body(), &self.transforms(poses)?, now);
+        let farthest = system.largest_misplacement(self.body(), &self.transforms(poses)?, now);
         let diagonal = self.diagonal();
         Ok(if diagonal > 0.0 { farthest / diagonal } else { farthest })
     }

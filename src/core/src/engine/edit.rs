@@ -53,7 +53,7 @@ impl Deformer {
             regions: self.region_context(shape, exec),
             limits: self.room_limits(),
             rest: &rest.positions,
-            bend: self.rig().map(|handles| HandleBend {
+            bend: self.handle_system().map(|handles| HandleBend {
                 handles,
                 mesh: &self.derived.mesh,
                 shape: &order.shape.positions,
@@ -116,7 +116,10 @@ impl Deformer {
         report.handles_kept = carried.set.handles.iter().map(|h| h.id.clone()).collect();
         report.warnings.splice(..0, std::mem::take(&mut carried.warnings));
         let beside = HeldBeside {
-            held: self.rig.as_ref().map_or(0, |rig| rig.byte_size() as u64),
+            held: self
+                .handle_system
+                .as_ref()
+                .map_or(0, |handles| handles.byte_size() as u64),
             watcher: exec.progress,
         };
         next.set_handles(&carried.set, &Exec::new(exec.pool, &beside))?;
@@ -172,7 +175,7 @@ impl Deformer {
         let (shape, solved) = if let Some(settings) = settings.filter(|_| posed) {
             exec.progress.report("solve", 0.0);
             let solved = self.solve(&poses, &settings, SolveMode::Commit, exec, &mut |_| true)?;
-            (solved.shape(), Some(settings))
+            (solved, Some(settings))
         } else {
             (self.rest_shape(), None)
         };

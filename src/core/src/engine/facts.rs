@@ -328,7 +328,7 @@ fn primitive_at(primitives: &[Primitive], vertex: u32) -> usize {
 /// A pose that pulls apart what ties hold together.
 pub(super) struct PulledTies<'a> {
     pub body: &'a DeformableBody,
-    pub rig: &'a HandleSystem,
+    pub system: &'a HandleSystem,
     pub mesh: &'a Mesh,
     pub primitives: &'a [Primitive],
     pub handles: &'a HandleSet,
@@ -374,7 +374,7 @@ impl PulledTies<'_> {
     /// How far the ends of a tie, held by two handles, come apart, if that is far.
     fn pull_of(&self, anchor: &TieAnchor, maps: &[impl Fn(DVec3) -> DVec3]) -> Option<PulledPair> {
         let rest = &self.body.graph.positions;
-        let held = |v: u32| self.rig.hard_holder(v as usize);
+        let held = |v: u32| self.system.hard_holder(v as usize);
         let first = held(anchor.vertex)?;
         let (corner, _) = anchor.weighted_corners().max_by(|a, b| a.1.total_cmp(&b.1))?;
         let second = held(corner)?;

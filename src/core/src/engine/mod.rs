@@ -50,12 +50,13 @@ mod solve;
 mod topology_state;
 mod tube_region;
 
-pub use crate::deform::SolveUpdate;
+pub use crate::deform::{PoseStats, Quality, SolveUpdate};
+pub use crate::reference::Method;
 pub use animation::{
-    AnimatedFrame, Animation, AnimationLimits, AnimationRefinement, AnimationSettings, BLOCK_FRAMES, BoundModel,
-    ClipRequest, ClipSource, FrameChoice, FrameCursor, FrameSource, FrameSums, FrameTimes, MadeRig, PlayedClipFile,
-    PlayedForm, RigHandleFacts, RigNodes, RigOrder, WrittenError, bind_model, carrying_joints, influences_of_skin,
-    left_out_of_rig, left_out_passengers, left_out_primitives, make_rig, node_place,
+    ANIMATION_QUALITY, AnimatedFrame, Animation, AnimationLimits, BLOCK_FRAMES, BoundModel, ClipRequest, ClipSource,
+    FrameChoice, FrameCursor, FrameSource, FrameSums, FrameTimes, MadeRig, PlayedClipFile, PlayedForm, RigHandleFacts,
+    RigNodes, RigOrder, WrittenError, bind_model, carrying_joints, influences_of_skin, left_out_of_rig,
+    left_out_passengers, left_out_primitives, make_rig, node_place,
 };
 pub use deformer::Deformer;
 pub use edit_command::{
@@ -78,6 +79,6 @@ pub use settings::{
     SolveMode, SolveSettings,
 };
 pub use shape::{ModelShape, Shader, Shading, ShapeId, TopologyId, digest, shading};
-pub use solve::{Drag, SolvedShape};
+pub use solve::Drag;
 pub use topology_state::TopologyState;
 pub use tube_region::MOST_TUBE_POINTS;

@@ -27,7 +27,7 @@ pub(super) struct HeldCounts {
     pub interior_nodes: u32,
 }
 
-/// The handles in force beside the rig: their places and what the deformation does not see.
+/// The handles in force beside the system: their places and what the deformation does not see.
 #[derive(Debug, Clone, Default)]
 pub(super) struct ResolvedHandles {
     /// The handles as they were set.

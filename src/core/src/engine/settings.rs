@@ -1,10 +1,11 @@
 //! How a model is opened and how its poses are solved, what a deformer may hold, and what it carries along.
 
 use crate::asset::{self, FileSet, Following, Format};
-use crate::deform::{BodyOptions, CoarseOperators, FirstPass, FitOrder, FreePartPolicy, TieOptions, VolumeMode};
+use crate::deform::{BodyOptions, CoarseOperators, FitOrder, FreePartPolicy, Quality, TieOptions, VolumeMode};
 use crate::graph::VolumeOptions;
 use crate::mesh::Weld;
 use crate::progress::Progress;
+use crate::reference::Method;
 use glam::{DQuat, DVec3};
 
 /// How often a commit fits rotations unless asked otherwise.
@@ -63,52 +64,40 @@ impl Default for OpenOptions {
 /// How a pose is solved.
 ///
 /// ```
-/// use pliant_core::engine::SolveSettings;
-/// let settings = SolveSettings { tolerance: Some(1e-6), ..Default::default() };
-/// assert_eq!(settings.refine, None);
+/// use pliant_core::engine::{Quality, SolveSettings};
+/// let settings = SolveSettings::from(Quality { tolerance: Some(1e-6), ..Quality::default() });
+/// assert_eq!(settings.quality.refine, None);
 /// ```
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct SolveSettings {
-    /// Relative residual to reach, when asked for.
-    pub tolerance: Option<f64>,
-    /// Largest missing displacement as a fraction of the diagonal, when asked for.
-    pub max_error: Option<f64>,
-    /// How often rotations are fitted after the second pass; `None`: [`COMMIT_REFINE`] times on commit, not at all in a drag.
-    pub refine: Option<u32>,
+    /// How exactly. Without [`Quality::refine`], rotations are fitted [`COMMIT_REFINE`] times on commit, not at all in a drag.
+    pub quality: Quality,
+    /// What the pose is deformed by.
+    pub method: Method,
     /// Where fits of a commit begin.
-    pub fit_order: FitOrder,
-    /// What the neighbours weigh in such a fit.
-    pub rotation_smoothing: f64,
-    /// How rotations are spread from the handles.
-    pub first_pass: FirstPass,
-    /// Whether space is deformed by radial basis functions instead of the graph.
-    pub spatial_rbf: bool,
+    pub fits: FitOrder,
+}
+
+impl From<Quality> for SolveSettings {
+    fn from(quality: Quality) -> Self {
+        Self {
+            quality,
+            ..Self::default()
+        }
+    }
 }
 
 /// How poses are solved for after an edit where none was solved before it. Records of edits lack it: never change it.
 pub(super) const EDITED_AT_REST: SolveSettings = SolveSettings {
-    tolerance: Some(1e-4),
-    max_error: None,
-    refine: None,
-    fit_order: FitOrder::GraphAlone,
-    rotation_smoothing: 0.0,
-    first_pass: FirstPass::Harmonic,
-    spatial_rbf: false,
+    quality: Quality {
+        tolerance: Some(1e-4),
+        max_error: None,
+        refine: None,
+        smoothing: 0.0,
+    },
+    method: Method::Harmonic,
+    fits: FitOrder::GraphAlone,
 };
-
-impl Default for SolveSettings {
-    fn default() -> Self {
-        Self {
-            tolerance: Some(1e-4),
-            max_error: None,
-            refine: None,
-            fit_order: FitOrder::CoarseFirst,
-            rotation_smoothing: 0.0,
-            first_pass: FirstPass::Harmonic,
-            spatial_rbf: false,
-        }
-    }
-}
 
 /// How a solve treats what was solved before.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,6 +1,7 @@
 //! Shapes: their names, so that a deformer recognises what it has made, their digests, and their normals and tangents.
 
 use crate::asset::{Geometry, Primitive};
+use crate::deform::PoseStats;
 use crate::mesh::shading;
 use glam::{DVec3, Vec3, Vec4};
 use std::sync::Arc;
@@ -30,8 +31,10 @@ pub struct ShapeId {
 pub struct ModelShape {
     /// Its name.
     pub id: ShapeId,
-    /// Where the render vertices are, model space.
+    /// Where the render vertices are, model space. Where nothing moves, the bits of the rest pose.
     pub positions: Arc<Vec<DVec3>>,
+    /// How it was solved; the default where it was not.
+    pub stats: PoseStats,
 }
 
 impl ModelShape {
@@ -40,6 +43,7 @@ impl ModelShape {
         Self {
             id: ShapeId::solution(TopologyId::default(), u64::MAX),
             positions,
+            stats: PoseStats::default(),
         }
     }
 }

@@ -4,8 +4,8 @@
 //! the short forms.
 
 use crate::deform::{
-    DeformableBody, HandleSystem, PoseRequest, PoseSolution, Refinement, SolutionExtent, SolveStart, SolveUpdate,
-    Transform, unfold_faces,
+    DeformableBody, FirstPass, HandleSystem, LocalRotation, PoseRequest, Quality, SolutionExtent, SolveStart,
+    SolveUpdate, Transform, unfold_faces,
 };
 use crate::engine::Deformer;
 use crate::engine::deformer::CommittedShape;
@@ -19,36 +19,10 @@ use crate::exec::Exec;
 use crate::mesh::carry::CarrySurface;
 use crate::mesh::{Mesh, NONE};
 use crate::pool::Pool;
+use crate::reference::{Method, diffuse, linear_frames};
 use glam::{DVec3, Mat3};
 use rayon::prelude::*;
 use std::sync::{Arc, OnceLock};
-
-/// A solved pose.
-#[derive(Debug, Clone)]
-pub struct SolvedShape {
-    /// The name of the shape.
-    pub id: ShapeId,
-    /// One per render vertex, model space. Where nothing moves, the bits of the rest pose.
-    pub positions: Arc<Vec<DVec3>>,
-    /// Cycles of the position solve.
-    pub cycles: u32,
-    /// Relative residual reached, largest over coordinates.
-    pub residual: f64,
-    /// Estimated largest missing displacement, fraction of the diagonal.
-    pub max_error: f64,
-    /// Name of the method that the solver ended with.
-    pub solver: &'static str,
-}
-
-impl SolvedShape {
-    /// Returns the shape alone, to go on from.
-    pub fn shape(&self) -> ModelShape {
-        ModelShape {
-            id: self.id,
-            positions: Arc::clone(&self.positions),
-        }
-    }
-}
 
 impl Deformer {
     /// Returns `poses` with those that `changes` names replaced.
@@ -75,12 +49,12 @@ impl Deformer {
     }
 
     fn require_handles(&self) -> Result<&HandleSystem, Error> {
-        self.rig
+        self.handle_system
             .as_ref()
             .ok_or_else(|| Error::Precondition("no handles are set; set them before deforming".into()))
     }
 
-    /// The transforms of the rig's holds for poses by handle, in model space.
+    /// The transforms of the system's handles for poses by handle, in model space.
     ///
     /// # Errors
     /// [`Error::Precondition`] without handles; [`Error::Internal`] when poses do not belong to the handles in force.
@@ -104,11 +78,11 @@ impl Deformer {
         mode: SolveMode,
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
-    ) -> Result<SolvedShape, Error> {
+    ) -> Result<ModelShape, Error> {
         let transforms = self.transforms(poses)?;
         self.derived.bind_riders(&self.room_limits(), exec)?;
         let Self {
-            rig: Some(rig),
+            handle_system: Some(handle_system),
             state,
             spatial_rbf,
             derived,
@@ -118,30 +92,10 @@ impl Deformer {
             ..
         } = self
         else {
-            return Err(Error::Internal("handles without a rig".into()));
+            return Err(Error::Internal("handles without a system".into()));
         };
         let body = &derived.body;
-        let request = PoseRequest {
-            transforms: &transforms,
-            tolerance: settings.tolerance,
-            max_error: settings.max_error,
-            start: if mode == SolveMode::Drag {
-                SolveStart::Warm
-            } else {
-                SolveStart::Fresh
-            },
-            first_pass: settings.first_pass,
-            refinement: Refinement {
-                steps: settings.refine.unwrap_or(match mode {
-                    SolveMode::Drag => 0,
-                    SolveMode::Commit => COMMIT_REFINE,
-                }),
-                smoothing: settings.rotation_smoothing,
-                carried: false,
-                order: settings.fit_order,
-            },
-            extent: extent_of(mode, derived.shows_without_frames()),
-        };
+        let request = pose_request(&transforms, settings, mode, derived.shows_without_frames());
         let shape = ShapeTransfer {
             body,
             mesh: &derived.mesh,
@@ -156,41 +110,51 @@ impl Deformer {
                 ..*now
             })
         };
-        let mut solution = match settings.spatial_rbf {
-            true => spatial_rbf.solve(rig, body, &transforms, state, exec)?,
-            false => rig.solve(body, &request, state, exec, &mut on_cycle)?,
+        let mut with = |turns: Option<&[LocalRotation]>| {
+            let first_pass = turns.map_or(FirstPass::Harmonic, FirstPass::Given);
+            let request = PoseRequest { first_pass, ..request };
+            handle_system.solve(body, &request, state, exec, &mut on_cycle)
+        };
+        // All other methods but the first are for comparison.
+        let mut solved = match settings.method {
+            Method::Harmonic => with(None)?,
+            Method::Diffusion => with(diffuse(body, handle_system, &transforms, exec)?.as_deref())?,
+            Method::LinearFrames => with(linear_frames(body, handle_system, &transforms, exec.pool).as_deref())?,
+            Method::SpatialRbf => spatial_rbf.solve(handle_system, body, &transforms, state, exec)?,
         };
         exec.progress.begin_pass("settle");
         derived
             .thin
-            .settle(body, rig, &solution.frames, &mut solution.positions, exec.pool);
-        if mode == SolveMode::Commit && !settings.spatial_rbf {
+            .settle(body, handle_system, &solved.frames, &mut solved.positions, exec.pool);
+        if mode == SolveMode::Commit && settings.method != Method::SpatialRbf {
             exec.progress.begin_pass("unfold");
             let surroundings = OnceLock::new();
-            unfold_faces(&derived.mesh, &surroundings, rig, &mut solution.positions, exec.pool);
+            unfold_faces(
+                &derived.mesh,
+                &surroundings,
+                handle_system,
+                &mut solved.positions,
+                exec.pool,
+            );
         }
-        let solver = method_name(&solution);
         exec.progress.begin_pass("render");
-        let positions = Arc::new(shape.render(&solution.positions, &solution.frames, &transforms));
+        let positions = Arc::new(shape.render(&solved.positions, &solved.frames, &transforms));
         *solutions += 1;
         let id = ShapeId::solution(derived.lineage.id, *solutions);
         match mode {
-            SolveMode::Drag => state.recycle(solution.positions, solution.frames),
+            SolveMode::Drag => state.recycle(solved.positions, solved.frames),
             SolveMode::Commit => {
                 state.release_start();
                 *committed = Some(CommittedShape {
                     id,
-                    nodes: Arc::new(solution.positions),
+                    nodes: Arc::new(solved.positions),
                 });
             }
         }
-        Ok(SolvedShape {
+        Ok(ModelShape {
             id,
             positions,
-            cycles: u32::try_from(solution.iterations).unwrap_or(u32::MAX),
-            residual: solution.residual,
-            max_error: solution.max_error,
-            solver,
+            stats: solved.stats,
         })
     }
 }
@@ -198,7 +162,7 @@ impl Deformer {
 impl Deformer {
     /// Whether the last pose of a drag has left enough to do for [`Deformer::settle`].
     pub fn is_worth_settling(&self) -> bool {
-        self.rig.is_some() && self.state.is_worth_settling()
+        self.handle_system.is_some() && self.state.is_worth_settling()
     }
 
     /// Works ahead between two frames of a drag. A frame may leave as much undone as its tolerance allows; solved before the next
@@ -207,32 +171,35 @@ impl Deformer {
     /// # Errors
     /// [`Error::Cancelled`]; [`Error::Internal`] where numbers left the range of single precision. A drag can go on after either.
     pub fn settle(&mut self, exec: &Exec<'_>) -> Result<(), Error> {
-        match &self.rig {
-            Some(rig) => Ok(rig.settle_drag(&self.derived.body, &mut self.state, exec)?),
+        match &self.handle_system {
+            Some(handles) => Ok(handles.settle_drag(&self.derived.body, &mut self.state, exec)?),
             None => Ok(()),
         }
     }
 }
 
-/// How much of a solution is needed. Where the surface shows without frames a drag has no use for them.
-fn extent_of(mode: SolveMode, shows_without_frames: bool) -> SolutionExtent {
-    match mode {
-        SolveMode::Drag if shows_without_frames => SolutionExtent::Positions,
-        SolveMode::Drag => SolutionExtent::Surface,
-        SolveMode::Commit => SolutionExtent::Graph,
-    }
-}
-
-fn method_name(solution: &PoseSolution) -> &'static str {
-    use crate::deform::PoseMethod::{Graph, SpatialRbf};
-    use crate::solver::SolveMethod as Solver;
-    match solution.method {
-        Graph(Solver::Trivial) => "trivial",
-        Graph(Solver::Direct) => "direct",
-        Graph(Solver::Multigrid) => "multigrid",
-        Graph(Solver::PaperCycles) => "paper-cycles",
-        Graph(Solver::ConjugateGradients) => "conjugate-gradients",
-        SpatialRbf => "spatial-rbf",
+/// The request of a pose in a mode. Where the surface shows without frames a drag has no use for them.
+fn pose_request<'a>(
+    transforms: &'a [Transform],
+    settings: &SolveSettings,
+    mode: SolveMode,
+    shows_without_frames: bool,
+) -> PoseRequest<'a> {
+    let (start, refine, extent) = match mode {
+        SolveMode::Drag if shows_without_frames => (SolveStart::Warm, 0, SolutionExtent::Positions),
+        SolveMode::Drag => (SolveStart::Warm, 0, SolutionExtent::Surface),
+        SolveMode::Commit => (SolveStart::Fresh, COMMIT_REFINE, SolutionExtent::Graph),
+    };
+    PoseRequest {
+        transforms,
+        quality: Quality {
+            refine: settings.quality.refine.or(Some(refine)),
+            ..settings.quality
+        },
+        start,
+        first_pass: FirstPass::Harmonic,
+        fits: settings.fits,
+        extent,
     }
 }
 
@@ -253,7 +220,7 @@ impl Drag<'_> {
         &mut self,
         changes: impl IntoIterator<Item = (&'p str, HandlePose)>,
         exec: &Exec<'_>,
-    ) -> Result<SolvedShape, Error> {
+    ) -> Result<ModelShape, Error> {
         self.poses = self.deformer.change_poses(&self.poses, changes)?;
         let mode = SolveMode::Drag;
         (self.deformer).solve(&self.poses, &self.settings, mode, exec, &mut |_| true)
@@ -278,7 +245,7 @@ impl Deformer {
     pub fn drag(&mut self, settings: &SolveSettings) -> Drag<'_> {
         Drag {
             poses: self.initial_poses(),
-            settings: settings.clone(),
+            settings: *settings,
             deformer: self,
         }
     }
@@ -293,7 +260,7 @@ impl Deformer {
         changes: impl IntoIterator<Item = (&'p str, HandlePose)>,
         settings: &SolveSettings,
         exec: &Exec<'_>,
-    ) -> Result<SolvedShape, Error> {
+    ) -> Result<ModelShape, Error> {
         let poses = self.change_poses(&self.initial_poses(), changes)?;
         self.solve(&poses, settings, SolveMode::Commit, exec, &mut |_| true)
     }

@@ -3,7 +3,7 @@
 use glam::{DQuat, DVec3};
 use pliant_core::asset::{FileSet, shapes};
 use pliant_core::engine::{
-    AnimatedFrame, Animation, AnimationRefinement, AnimationSettings, Deformer, DeformerLimits, FrameTimes, OpenOptions,
+    ANIMATION_QUALITY, AnimatedFrame, Animation, Deformer, DeformerLimits, FrameTimes, OpenOptions, Quality,
 };
 use pliant_core::exec::Exec;
 use pliant_core::motion::bvh::{ClipLimits, read_bvh};
@@ -82,22 +82,16 @@ pub fn clip_text(heading: f64, rows: &[[f64; 2]]) -> String {
 }
 
 /// The animation of the arm by a clip.
-pub fn animate(
-    deformer: &Deformer,
-    text: &str,
-    rig: MotionRig,
-    refinement: AnimationRefinement,
-    exec: &Exec<'_>,
-) -> Animation {
+pub fn animate(deformer: &Deformer, text: &str, rig: MotionRig, refine: Option<u32>, exec: &Exec<'_>) -> Animation {
     let clip = read_bvh(text.as_bytes(), &ClipLimits::default()).expect("a clip");
     let times = FrameTimes::between(0.0, clip.duration, 30.0);
     let driver = RigDriver::new(&rig, clip, &DriveOptions::default()).expect("a driver");
-    let settings = AnimationSettings {
-        refinement,
-        ..Default::default()
+    let quality = Quality {
+        refine,
+        ..ANIMATION_QUALITY
     };
     deformer
-        .animation(rig, driver, times, &settings, exec)
+        .animation(rig, driver, times, &quality, exec)
         .expect("an animation")
 }
 

@@ -1,7 +1,7 @@
 //! Frames are the same whatever range is asked for, however many blocks and threads there are.
 
 use crate::arm::{animate, arm_rig, clip_text, frames, open_arm};
-use pliant_core::engine::{AnimationRefinement, BLOCK_FRAMES, digest};
+use pliant_core::engine::{BLOCK_FRAMES, digest};
 use pliant_core::exec::Exec;
 use pliant_core::pool::Pool;
 use pliant_core::progress::{Progress, Silent};
@@ -21,7 +21,7 @@ fn bits_depend_neither_on_threads_nor_on_the_range() {
     let reported = |pool: &Pool, range: std::ops::Range<usize>, at_once: usize| -> Vec<(usize, String)> {
         let exec = Exec::new(pool, &Silent);
         let deformer = open_arm(&exec);
-        let animation = animate(&deformer, &text, arm_rig(3), AnimationRefinement::Carried, &exec);
+        let animation = animate(&deformer, &text, arm_rig(3), None, &exec);
         let frames = frames(&animation, range, at_once, &exec);
         frames.iter().map(|f| (f.index, digest(&f.positions))).collect()
     };
@@ -39,7 +39,7 @@ fn one_frame_at_a_time_gives_the_same_frames_as_blocks() {
     let exec = Exec::new(&pool, &Silent);
     let deformer = open_arm(&exec);
     let text = clip_text(0.0, &wave(2 * BLOCK_FRAMES + 3));
-    for refinement in [AnimationRefinement::Carried, AnimationRefinement::Steps(1)] {
+    for refinement in [None, Some(1)] {
         let animation = animate(&deformer, &text, arm_rig(1), refinement, &exec);
         for range in [0..usize::MAX, 40..2 * BLOCK_FRAMES, 70..71] {
             let mut one_by_one = Vec::new();
@@ -71,7 +71,7 @@ fn no_frame_shows_where_a_block_begins() {
     let poses = wave(BLOCK_FRAMES + 1);
     let of = |poses: &[[f64; 2]], frame: usize| {
         let text = clip_text(0.0, poses);
-        let animation = animate(&deformer, &text, arm_rig(1), AnimationRefinement::Carried, &exec);
+        let animation = animate(&deformer, &text, arm_rig(1), None, &exec);
         frames(&animation, frame..frame + 1, 1, &exec).remove(0).positions
     };
     let begun = of(&poses, BLOCK_FRAMES);
@@ -101,13 +101,7 @@ fn an_animation_ends_when_cancelled() {
     let pool = Pool::new(2).expect("threads");
     let exec = Exec::new(&pool, &Silent);
     let deformer = open_arm(&exec);
-    let animation = animate(
-        &deformer,
-        &clip_text(0.0, &wave(30)),
-        arm_rig(1),
-        AnimationRefinement::Steps(0),
-        &exec,
-    );
+    let animation = animate(&deformer, &clip_text(0.0, &wave(30)), arm_rig(1), Some(0), &exec);
     let all = 0..30;
     let mut taken = 0;
     let enough = animation.solve(std::slice::from_ref(&all), 1, &|| 0.0, &exec, &mut |_, _| {
@@ -154,7 +148,7 @@ fn frames_of_blocks_come_as_they_are_solved_and_none_is_lost_when_the_work_is_gi
     let quiet = Exec::new(&pool, &Silent);
     let deformer = open_arm(&quiet);
     let text = clip_text(0.0, &wave(2 * BLOCK_FRAMES));
-    let animation = animate(&deformer, &text, arm_rig(1), AnimationRefinement::Carried, &quiet);
+    let animation = animate(&deformer, &text, arm_rig(1), None, &quiet);
     let solve = |ranges: &[std::ops::Range<usize>], until: usize| {
         let follower = Follower {
             until,

@@ -2,7 +2,6 @@
 
 use crate::arm::{ENDS, animate, arm_rig, clip_text, frames, open_arm};
 use glam::DVec3;
-use pliant_core::engine::AnimationRefinement;
 use pliant_core::exec::Exec;
 use pliant_core::motion::bvh::{ClipLimits, read_bvh};
 use pliant_core::motion::rig::{DriveOptions, MotionRig, RigDriver, RigError};
@@ -16,13 +15,7 @@ fn the_model_stands_at_rest_where_the_clip_does_and_turns_with_its_root() {
     let pool = Pool::new(2).expect("threads");
     let exec = Exec::new(&pool, &Silent);
     let deformer = open_arm(&exec);
-    let animation = animate(
-        &deformer,
-        &clip_text(0.0, &ROWS),
-        arm_rig(3),
-        AnimationRefinement::Steps(1),
-        &exec,
-    );
+    let animation = animate(&deformer, &clip_text(0.0, &ROWS), arm_rig(3), Some(1), &exec);
     assert!((animation.driver().scale() - 0.01).abs() < 1e-9);
     assert!(
         animation.handle_facts().iter().all(|h| h.nodes >= 8),
@@ -47,13 +40,7 @@ fn a_clip_that_faces_elsewhere_gives_the_same_shape() {
     let exec = Exec::new(&pool, &Silent);
     let deformer = open_arm(&exec);
     let shapes = [0.0, 180.0, 77.0].map(|heading| {
-        let animation = animate(
-            &deformer,
-            &clip_text(heading, &ROWS),
-            arm_rig(3),
-            AnimationRefinement::Carried,
-            &exec,
-        );
+        let animation = animate(&deformer, &clip_text(heading, &ROWS), arm_rig(3), None, &exec);
         frames(&animation, 0..3, 1, &exec)
     });
     for other in &shapes[1..] {
@@ -144,15 +131,15 @@ fn a_wrist_turned_by_150_degrees_keeps_its_volume() {
     let pool = Pool::new(2).expect("threads");
     let exec = Exec::new(&pool, &Silent);
     let deformer = open_arm(&exec);
-    let volume = |slices: usize, refinement: AnimationRefinement| {
+    let volume = |slices: usize, refine: Option<u32>| {
         let text = clip_text(0.0, &[[0.0, 150.0]]);
-        let animation = animate(&deformer, &text, arm_rig(slices), refinement, &exec);
+        let animation = animate(&deformer, &text, arm_rig(slices), refine, &exec);
         let frame = frames(&animation, 0..1, 1, &exec).remove(0);
         let quality = deformer.quality(&frame.positions, &pool);
         (quality.volume_change, quality.flipped_triangles)
     };
-    let (sliced, flipped) = volume(3, AnimationRefinement::Carried);
+    let (sliced, flipped) = volume(3, None);
     assert!(sliced > -0.12 && flipped == 0, "{sliced}, {flipped} flipped");
-    let (whole, _) = volume(1, AnimationRefinement::Steps(0));
+    let (whole, _) = volume(1, Some(0));
     assert!(whole < sliced - 0.02, "three slices {sliced}, one {whole}");
 }

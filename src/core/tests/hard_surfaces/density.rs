@@ -5,7 +5,7 @@ use glam::DVec3;
 use pliant_core::asset::shapes;
 use pliant_core::edit::SubdivisionScheme;
 use pliant_core::engine::{
-    Deformer, Edit, EditCommand, EditedShape, Handle, HandlePose, Region, SolveMode, SolveSettings,
+    Deformer, Edit, EditCommand, EditedShape, Handle, HandlePose, Quality, Region, SolveMode, SolveSettings,
 };
 use pliant_core::exec::Exec;
 use pliant_core::graph::EdgeWeights;
@@ -26,11 +26,11 @@ fn difference_of_density(deformer: &mut Deformer, exec: &Exec<'_>) -> Option<f64
         ..side.turn(FRAC_PI_4)
     };
     let poses = deformer.change_poses(&deformer.initial_poses(), [("top", pose)]).ok()?;
-    let settings = SolveSettings {
+    let settings = SolveSettings::from(Quality {
         refine: Some(0),
         tolerance: Some(1e-8),
         ..Default::default()
-    };
+    });
     let before = deformer
         .solve(&poses, &settings, SolveMode::Commit, exec, &mut |_| true)
         .ok()?;
@@ -50,7 +50,7 @@ fn difference_of_density(deformer: &mut Deformer, exec: &Exec<'_>) -> Option<f64
     let command = EditCommand {
         edit: &edit,
         on: EditedShape::Rest,
-        shape: &before.shape(),
+        shape: &before,
         poses: &poses,
         settings: Some(&settings),
     };

@@ -4,8 +4,8 @@ use crate::models::{LongSide, open_shape};
 use glam::DVec3;
 use pliant_core::asset::shapes;
 use pliant_core::engine::{
-    Deformer, Edit, EditCommand, EditOutcome, EditedShape, Error, HandlePoses, QualityReport, RemeshCommand, SolveMode,
-    SolveSettings, SolvedShape,
+    Deformer, Edit, EditCommand, EditOutcome, EditedShape, Error, HandlePoses, ModelShape, QualityReport,
+    RemeshCommand, SolveMode, SolveSettings,
 };
 use pliant_core::exec::Exec;
 use pliant_core::pool::Pool;
@@ -23,7 +23,7 @@ fn codes(deformer: &Deformer) -> Vec<String> {
 struct BentBar {
     deformer: Deformer,
     poses: HandlePoses,
-    shape: SolvedShape,
+    shape: ModelShape,
 }
 
 fn bend(shape: &shapes::Shape, angle: f64, exec: &Exec<'_>) -> BentBar {
@@ -33,7 +33,7 @@ fn bend(shape: &shapes::Shape, angle: f64, exec: &Exec<'_>) -> BentBar {
 }
 
 /// Holds both ends of what is in the rest pose and turns one.
-fn hold_and_bend(deformer: &mut Deformer, angle: f64, exec: &Exec<'_>) -> (HandlePoses, SolvedShape) {
+fn hold_and_bend(deformer: &mut Deformer, angle: f64, exec: &Exec<'_>) -> (HandlePoses, ModelShape) {
     let side = LongSide::of(deformer.rest());
     side.hold_ends(deformer, exec).expect("handles");
     let poses = deformer
@@ -58,7 +58,7 @@ fn edit_at_rest(bar: &mut BentBar, edit: &Edit, exec: &Exec<'_>) -> EditOutcome 
     let command = EditCommand {
         edit,
         on: EditedShape::Rest,
-        shape: &bar.shape.shape(),
+        shape: &bar.shape,
         poses: &bar.poses,
         settings: Some(&SolveSettings::default()),
     };

@@ -4,14 +4,14 @@ use crate::models::{LongSide, data_models, open_model, open_shape};
 use glam::DVec3;
 use pliant_core::asset::shapes;
 use pliant_core::deform::NeedlesAndCaps;
-use pliant_core::engine::{Deformer, HandlePoses, SolveMode, SolveSettings, SolvedShape};
+use pliant_core::engine::{Deformer, HandlePoses, ModelShape, SolveMode, SolveSettings};
 use pliant_core::exec::Exec;
 use pliant_core::mesh::{Mesh, Weld};
 use pliant_core::pool::Pool;
 use pliant_core::progress::Silent;
 use std::f64::consts::FRAC_PI_4;
 
-fn solve(deformer: &mut Deformer, poses: &HandlePoses, exec: &Exec<'_>) -> SolvedShape {
+fn solve(deformer: &mut Deformer, poses: &HandlePoses, exec: &Exec<'_>) -> ModelShape {
     let settings = SolveSettings::default();
     let solved = deformer.solve(poses, &settings, SolveMode::Commit, exec, &mut |_| true);
     solved.expect("the pose solves")

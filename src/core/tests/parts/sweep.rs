@@ -95,7 +95,7 @@ fn bent(files: FileSet, name: &str, tied: bool, exec: &Exec<'_>) -> Option<Bent>
         ties: facts.ties.ties,
         neighbours: neighbours.len(),
         torn: [0.95, 1.0].map(|part| quantile(&errors, part) / diagonal),
-        cycles: solved.cycles,
+        cycles: solved.stats.cycles,
     })
 }
 

@@ -17,9 +17,10 @@ pub type LocalFrame = [f32; 9];
 pub(crate) const IDENTITY_FRAME: LocalFrame = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
 
 /// A rotation per node, as (x, y, z, w) of a unit quaternion.
-pub(crate) type LocalRotation = [f32; 4];
+pub type LocalRotation = [f32; 4];
 
-pub(crate) fn pack_rotation(q: DQuat) -> LocalRotation {
+/// A rotation as it is stored for a node.
+pub fn pack_rotation(q: DQuat) -> LocalRotation {
     q.as_quat().to_array()
 }
 
@@ -34,7 +35,7 @@ pub(crate) fn pack_frame(rotation: DQuat, scale: Option<DMat3>) -> LocalFrame {
 }
 
 /// Rotations and scales of a pose, node by node.
-pub(crate) struct PoseBlend<'a> {
+pub struct PoseBlend<'a> {
     rotations: HandleRotations<'a>,
     scales: HandleScales<'a>,
     component: &'a [u32],
@@ -42,15 +43,16 @@ pub(crate) struct PoseBlend<'a> {
 }
 
 impl<'a> PoseBlend<'a> {
+    /// Those of the holds' transforms; `instead` of blended rotations those of all nodes, where they are given.
     pub fn new(
         body: &'a DeformableBody,
-        rig: &'a HandleSystem,
+        handles: &'a HandleSystem,
         transforms: &[Transform],
         instead: Option<&'a [LocalRotation]>,
     ) -> Self {
         Self {
-            rotations: HandleRotations::new(rig, transforms),
-            scales: HandleScales::new(rig, transforms),
+            rotations: HandleRotations::new(handles, transforms),
+            scales: HandleScales::new(handles, transforms),
             component: &body.graph.component,
             instead,
         }
@@ -84,7 +86,7 @@ impl<'a> PoseBlend<'a> {
     }
 
     /// R S at a node, with no memory of its own but `scratch`. `None` for the identity.
-    pub fn map(&self, node: usize, scratch: &mut Vec<(usize, f64)>) -> Option<DMat3> {
+    pub(crate) fn map(&self, node: usize, scratch: &mut Vec<(usize, f64)>) -> Option<DMat3> {
         let component = self.component[node] as usize;
         let rotation = self.rotations.at_with(node, component, scratch);
         match (rotation, self.scale(node)) {
@@ -163,11 +165,13 @@ struct HandleRotations<'a> {
 }
 
 impl<'a> HandleRotations<'a> {
-    fn new(rig: &'a HandleSystem, transforms: &[Transform]) -> Self {
-        let fields = rig.blending_fields.as_ref().unwrap_or(&rig.rotation_fields);
+    fn new(handles: &'a HandleSystem, transforms: &[Transform]) -> Self {
+        let fields = handles.blending_fields.as_ref().unwrap_or(&handles.rotation_fields);
         // The frozen surroundings stand still; they come after the holds.
         let rotation = |k: usize| transforms.get(k).map_or(DVec3::ZERO, |t| t.rotation);
-        let active: Vec<usize> = (0..=rig.handle_count()).filter(|&k| !fields.of(k).is_empty()).collect();
+        let active: Vec<usize> = (0..=handles.handle_count())
+            .filter(|&k| !fields.of(k).is_empty())
+            .collect();
         let base_hold = active
             .iter()
             .copied()
@@ -257,8 +261,8 @@ struct HandleScales<'a> {
 }
 
 impl<'a> HandleScales<'a> {
-    fn new(rig: &'a HandleSystem, transforms: &[Transform]) -> Self {
-        let fields = rig.scale_fields.as_ref().unwrap_or(&rig.rotation_fields);
+    fn new(handles: &'a HandleSystem, transforms: &[Transform]) -> Self {
+        let fields = handles.scale_fields.as_ref().unwrap_or(&handles.rotation_fields);
         let terms = transforms
             .iter()
             .enumerate()

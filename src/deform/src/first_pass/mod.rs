@@ -3,5 +3,5 @@
 pub(super) mod blend;
 pub(super) mod spread;
 
-pub use blend::LocalFrame;
-pub use spread::{FirstPass, frames};
+pub use blend::{LocalFrame, LocalRotation, PoseBlend, pack_rotation};
+pub use spread::frames;

@@ -10,101 +10,71 @@
 //! whole turns are lost.
 
 use crate::body::DeformableBody;
-use crate::comparison;
-use crate::error::Error;
 use crate::first_pass::blend::{IDENTITY_FRAME, LocalFrame, LocalRotation, PoseBlend, pack_frame};
 use crate::handles::system::HandleSystem;
+use crate::pose::{FirstPass, PoseRequest};
 use crate::rotation::Transform;
 use glam::{DQuat, Quat};
-use pliant_exec::Exec;
 use pliant_exec::pool::Pool;
 use pliant_mesh::rotation::exp_rotation;
-use rayon::prelude::*;
+use std::borrow::Cow;
 
-/// How rotations are spread from the handles over the nodes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum FirstPass {
-    /// Blended with bounded harmonic fields (the paper's choice, after Zayer et al. 2005). Any number of turns.
-    #[default]
-    Harmonic,
-    /// The steady state of the paper's orientation diffusion, equation (2), begun at the blend. Unit quaternions are
-    /// equal for one full turn and two: where a handle has turned further than that, the blend stays as it is.
-    Diffusion,
-    /// The linear frames of Lipman et al. 2005, made orthogonal afterwards, for comparison: they pile turns up half-way
-    /// between handles and know none beyond half a circle.
-    LinearFrames,
-    /// Weighted sums of the quaternions of the few handles with a say at a node: little work, for animations, and blind to
-    /// whole turns. What handles that constrain rotations alone do is taken whole where a solve starts from the last one.
-    WeightedSum,
-}
-
-/// The frames of all nodes for the holds' transforms (`transforms[k]` belongs to hold k of the rig), by harmonic fields.
-pub fn frames(body: &DeformableBody, rig: &HandleSystem, transforms: &[Transform], pool: &Pool) -> Vec<LocalFrame> {
-    blend_frames_with(body, rig, transforms, None, pool)
+/// The frames of all nodes for the holds' transforms (`transforms[k]` belongs to hold k of the handles), by harmonic fields.
+pub fn frames(body: &DeformableBody, handles: &HandleSystem, transforms: &[Transform], pool: &Pool) -> Vec<LocalFrame> {
+    blend_frames_with(body, handles, transforms, None, pool)
 }
 
 /// How one pose gets its rotations: what [`FirstPass`] comes to, decided once at the top of a solve.
-pub(crate) struct FirstRotations {
+pub(crate) struct FirstRotations<'a> {
     /// Rotations in place of the blend by harmonic fields; `None` for the blend itself, and where nothing is turned.
-    pub instead: Option<Vec<LocalRotation>>,
+    pub instead: Option<Cow<'a, [LocalRotation]>>,
     /// Whether the pose is one of an animation: nodes follow weighted sums, and sums over edges are in single precision.
     pub is_animation: bool,
 }
 
-impl FirstRotations {
+impl<'a> FirstRotations<'a> {
     /// Those of the blend by harmonic fields.
     pub const BLEND: Self = Self {
         instead: None,
         is_animation: false,
     };
 
-    /// Those of `how` for the holds' transforms.
-    pub fn of(
-        body: &DeformableBody,
-        rig: &HandleSystem,
-        transforms: &[Transform],
-        how: FirstPass,
-        exec: &Exec<'_>,
-    ) -> Result<Self, Error> {
-        let blend = PoseBlend::new(body, rig, transforms, None);
-        let instead = match how {
-            FirstPass::Harmonic => None,
-            _ if blend.is_unturned() => None,
-            FirstPass::WeightedSum => Some(weighted_sums(rig, transforms, exec.pool)),
-            FirstPass::Diffusion => Some(comparison::diffuse(body, rig, &blend, exec)?),
-            FirstPass::LinearFrames => Some(comparison::linear_frames(&blend, body.nodes(), exec.pool)),
-        };
-        Ok(Self {
-            instead,
-            is_animation: how == FirstPass::WeightedSum,
-        })
+    /// Those that a pose asks for.
+    pub fn of(body: &DeformableBody, handles: &HandleSystem, request: &PoseRequest<'a>, pool: &Pool) -> Self {
+        let transforms = request.transforms;
+        let is_unturned = || PoseBlend::new(body, handles, transforms, None).is_unturned();
+        match request.first_pass {
+            FirstPass::Harmonic => Self::BLEND,
+            FirstPass::Given(turns) => Self {
+                instead: Some(Cow::Borrowed(turns)),
+                is_animation: false,
+            },
+            FirstPass::WeightedSum => Self {
+                instead: (!is_unturned()).then(|| Cow::Owned(weighted_sums(handles, transforms, pool))),
+                is_animation: true,
+            },
+        }
     }
 }
 
 /// As [`frames`], with other rotations where there are any.
 pub(crate) fn blend_frames_with(
     body: &DeformableBody,
-    rig: &HandleSystem,
+    handles: &HandleSystem,
     transforms: &[Transform],
     instead: Option<&[LocalRotation]>,
     pool: &Pool,
 ) -> Vec<LocalFrame> {
-    let blend = PoseBlend::new(body, rig, transforms, instead);
-    pool.install(|| {
-        (0..body.nodes())
-            .into_par_iter()
-            .with_min_len(1024)
-            .map(|i| match (blend.rotation(i), blend.scale(i)) {
-                (None, None) => IDENTITY_FRAME,
-                (rotation, scale) => pack_frame(rotation.unwrap_or(DQuat::IDENTITY), scale),
-            })
-            .collect()
+    let blend = PoseBlend::new(body, handles, transforms, instead);
+    pool.map(body.nodes(), 1024, |i| match (blend.rotation(i), blend.scale(i)) {
+        (None, None) => IDENTITY_FRAME,
+        (rotation, scale) => pack_frame(rotation.unwrap_or(DQuat::IDENTITY), scale),
     })
 }
 
 /// The rotations of all nodes for the holds' transforms.
-fn weighted_sums(rig: &HandleSystem, transforms: &[Transform], pool: &Pool) -> Vec<LocalRotation> {
-    let shares = rig.sparse_shares(pool);
+fn weighted_sums(handles: &HandleSystem, transforms: &[Transform], pool: &Pool) -> Vec<LocalRotation> {
+    let shares = handles.sparse_shares(pool);
     // The frozen surroundings stand still; they come after the holds.
     let holds: Vec<Quat> = (transforms.iter())
         .map(|t| exp_rotation(t.rotation).as_quat())
@@ -127,11 +97,5 @@ fn weighted_sums(rig: &HandleSystem, transforms: &[Transform], pool: &Pool) -> V
             false => most.to_array(),
         }
     };
-    pool.install(|| {
-        (0..shares.nodes())
-            .into_par_iter()
-            .with_min_len(4096)
-            .map(blend)
-            .collect()
-    })
+    pool.map(shares.nodes(), 4096, blend)
 }

@@ -7,5 +7,5 @@ pub(super) mod system;
 
 pub use free_parts::FreePartPolicy;
 pub use motion::{HandleMotion, HandleShares, carry, shares_difference};
-pub use ownership::{HandleConstraint, HandleSetup};
+pub use ownership::{HandleConstraint, HandleSetup, NodeOwnership, UNHELD};
 pub use system::HandleSystem;

@@ -142,7 +142,7 @@ fn affine(transform: &Transform) -> DAffine3 {
 
 /// Brings nodes from solving coordinates around `center` to model space.
 pub(crate) struct NodePlacement<'a, M> {
-    rig: &'a HandleSystem,
+    handles: &'a HandleSystem,
     body: &'a DeformableBody,
     moved_parts: &'a [bool],
     /// By hold: from rest to where the pose has it, model space.
@@ -153,13 +153,13 @@ pub(crate) struct NodePlacement<'a, M> {
 impl<M: Fn(DVec3) -> DVec3 + Sync> NodePlacement<'_, M> {
     /// The position of a node that was solved to `x`.
     pub fn of(&self, node: usize, x: &[f64]) -> DVec3 {
-        let Self { rig, body, .. } = *self;
+        let Self { handles, body, .. } = *self;
         let rest = body.graph.positions[node];
         if !self.moved_parts[body.graph.component[node] as usize] {
             return rest;
         }
-        match rig.position.hard[node] {
-            UNHELD if rig.positions.fixed[node] => rest,
+        match handles.position.hard[node] {
+            UNHELD if handles.positions.fixed[node] => rest,
             UNHELD => body.model_from_solving(DVec3::from_slice(x) + self.center),
             k => self.maps.get(k as usize).map_or(rest, |map| map(rest)),
         }
@@ -172,7 +172,7 @@ impl<M: Fn(DVec3) -> DVec3 + Sync> NodePlacement<'_, M> {
             let nodes = x.as_chunks::<3>().0.par_iter().enumerate().with_min_len(4096);
             nodes.map(|(node, x)| self.of(node, x)).collect()
         });
-        self.rig.parts.place(self.body, &mut positions);
+        self.handles.parts.place(self.body, &mut positions);
         positions
     }
 }
@@ -203,7 +203,7 @@ impl HandleSystem {
         center: DVec3,
     ) -> NodePlacement<'a, impl Fn(DVec3) -> DVec3 + Send + Sync + use<>> {
         NodePlacement {
-            rig: self,
+            handles: self,
             body,
             moved_parts,
             maps: transforms.iter().map(Transform::map).collect(),
@@ -214,7 +214,7 @@ impl HandleSystem {
     /// Replaces the solution on rigid regions that no hard handle puts in place by the rigid motion that fits it best. Where the
     /// handle gives the rotation, only the translation is fitted. The `frames` of the region, where there are any, turn with it,
     /// so that what lies around follows.
-    pub(crate) fn make_regions_rigid(
+    pub fn make_regions_rigid(
         &self,
         body: &DeformableBody,
         transforms: &[Transform],

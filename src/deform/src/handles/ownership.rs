@@ -43,12 +43,12 @@ pub struct HandleSetup {
 }
 
 /// In an owner list: a node without an owner.
-pub(crate) const UNHELD: u32 = u32::MAX;
+pub const UNHELD: u32 = u32::MAX;
 
 /// The handles that constrain one kind of quantity, by node.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct NodeOwnership {
-    /// By node: the hard holder, or `u32::MAX`.
+pub struct NodeOwnership {
+    /// By node: the hard holder, or [`UNHELD`]. What may not move at all belongs to one that comes after the last.
     pub hard: Arc<Vec<u32>>,
     /// Soft pulls (node, hold, stiffness) on nodes without a hard holder, by node then hold.
     pub soft: Arc<Vec<(u32, u32, f64)>>,
@@ -102,7 +102,7 @@ impl NodeOwnership {
     }
 
     /// Which holds constrain any node; the frozen surroundings come last.
-    pub fn active(&self, holds: usize) -> Vec<bool> {
+    pub(crate) fn active(&self, holds: usize) -> Vec<bool> {
         let mut active = vec![false; holds + 1];
         self.hard
             .iter()
@@ -113,7 +113,7 @@ impl NodeOwnership {
     }
 
     /// Which components hold any constraint.
-    pub fn covered(&self, body: &DeformableBody) -> Vec<bool> {
+    pub(crate) fn covered(&self, body: &DeformableBody) -> Vec<bool> {
         let mut covered = vec![false; body.graph.components];
         for (node, _) in self.hard.iter().enumerate().filter(|(_, k)| **k != UNHELD) {
             covered[body.graph.component[node] as usize] = true;
@@ -132,6 +132,18 @@ impl NodeOwnership {
         let mut sum = vec![0.0; self.hard.len()];
         self.soft.iter().for_each(|&(node, _, s)| sum[node as usize] += s);
         Some(sum)
+    }
+
+    /// Where each node's soft pulls begin in the list, and the end; empty without any.
+    pub fn first_pulls(&self) -> Vec<u32> {
+        if self.soft.is_empty() {
+            return Vec::new();
+        }
+        let nodes = self.hard.len();
+        let mut first = vec![0; nodes + 1];
+        self.soft.iter().for_each(|s| first[s.0 as usize + 1] += 1);
+        (0..nodes).for_each(|i| first[i + 1] += first[i]);
+        first
     }
 
     pub(crate) fn byte_size(&self) -> usize {

@@ -120,6 +120,21 @@ impl HandleSystem {
         &self.rigid.as_ref().unwrap_or(&self.positions).fixed
     }
 
+    /// Which handles hold the positions of which nodes.
+    pub fn position_owners(&self) -> &NodeOwnership {
+        &self.position
+    }
+
+    /// Which handles hold the rotations of which nodes.
+    pub fn rotation_owners(&self) -> &NodeOwnership {
+        &self.rotation
+    }
+
+    /// The system that positions are solved with.
+    pub fn position_system(&self) -> &LinearSystem {
+        &self.positions.system
+    }
+
     /// Number of handles.
     pub fn handle_count(&self) -> usize {
         self.setup.handles.len()

@@ -7,11 +7,12 @@
 use crate::error::Error;
 use crate::first_pass::blend::LocalFrame;
 use crate::first_pass::spread::FirstRotations;
+use crate::pose::{FitOrder, SolveStart};
 use crate::second_pass::drag::{SINGLE_ERROR, SINGLE_TOLERANCE, fill_scattered};
 use crate::second_pass::equations::PosedHandles;
-use crate::second_pass::refine::{FitOrder, RotationFit};
-use crate::second_pass::solve::{PoseSolve, SolveTally};
-use crate::second_pass::state::{NO_NODE, SolveStart, SolveState};
+use crate::second_pass::refine::RotationFit;
+use crate::second_pass::state::{NO_NODE, SolveState};
+use crate::solve::{PoseSolve, SolveTally};
 use glam::{Mat3, Quat};
 use pliant_exec::pool::Pool;
 use pliant_exec::progress::check;
@@ -27,30 +28,30 @@ const SMALL: usize = 1 << 15;
 impl PoseSolve<'_> {
     /// Whether fits may begin on coarse levels: not where more is asked for than single precision gives, for how nodes are grouped
     /// shows in the result by what the energy is still short of its least.
-    pub(super) fn may_begin_coarse(&self, first: &FirstRotations, fit: &RotationFit<'_>) -> bool {
+    pub(crate) fn may_begin_coarse(&self, first: &FirstRotations<'_>, fit: &RotationFit<'_>) -> bool {
         let request = self.request;
         request.start == SolveStart::Fresh
-            && request.refinement.order == FitOrder::CoarseFirst
+            && request.fits == FitOrder::CoarseFirst
             && !first.is_animation
             && fit.is_plain()
-            && request.tolerance.is_none_or(|t| t >= SINGLE_TOLERANCE)
-            && request.max_error.is_none_or(|e| e >= SINGLE_ERROR)
-            && self.rig.positions.system.can_solve_poses()
+            && request.quality.tolerance.is_none_or(|t| t >= SINGLE_TOLERANCE)
+            && request.quality.max_error.is_none_or(|e| e >= SINGLE_ERROR)
+            && self.handles.positions.system.can_solve_poses()
     }
 
     /// Solves and fits. Leaves positions in `state.x`, around the centre, and `posed.frames` as last solved with.
     ///
     /// # Errors
     /// [`Error::Solver`] where numbers left the range of single precision, [`Error::Cancelled`]. Positions are then of no use.
-    pub(super) fn fit_coarse_first(
+    pub(crate) fn fit_coarse_first(
         &self,
         fit: &RotationFit<'_>,
         posed: &mut PosedHandles,
         state: &mut SolveState,
         tally: &mut SolveTally<'_>,
     ) -> Result<SolveStats, Error> {
-        let (rig, body, exec) = (self.rig, self.body, self.exec);
-        let system = &rig.positions.system;
+        let (handles, body, exec) = (self.handles, self.body, self.exec);
+        let system = &handles.positions.system;
         exec.progress.begin_pass("load");
         self.load_rows(fit, posed, state);
         self.pull_scattered(state);
@@ -60,7 +61,7 @@ impl PoseSolve<'_> {
         let mut stats = self.run_rows(false, state, tally)?;
         let enough = if body.nodes() <= SMALL { ENOUGH_OF_SMALL } else { ENOUGH };
         let mut last = f64::INFINITY;
-        while tally.refined < self.request.refinement.steps && !tally.stopped {
+        while tally.refined < self.request.steps() && !tally.stopped {
             check(exec.progress)?;
             let energy = system.fit_pose(&body.hierarchy, &mut state.rows.pose, exec)?;
             if !energy.is_finite() {
@@ -68,7 +69,7 @@ impl PoseSolve<'_> {
             }
             tally.refined += 1;
             self.pull_scattered(state);
-            let is_done = tally.refined == self.request.refinement.steps || last - energy < enough * energy;
+            let is_done = tally.refined == self.request.steps() || last - energy < enough * energy;
             last = energy;
             stats = self.run_rows(is_done, state, tally)?;
             if is_done {
@@ -83,7 +84,7 @@ impl PoseSolve<'_> {
     /// Takes the pose over into the order of the solver's rows.
     fn load_rows(&self, fit: &RotationFit<'_>, posed: &PosedHandles, state: &mut SolveState) {
         let SolveState { rows, x, .. } = state;
-        rows.take_over(self.body, self.rig, x, self.exec.pool);
+        rows.take_over(self.body, self.handles, x, self.exec.pool);
         rows.center = posed.center;
         let vertices = self.body.hierarchy.row_vertices();
         let PoseRows { rows, open, .. } = &mut rows.pose;
@@ -100,7 +101,7 @@ impl PoseSolve<'_> {
 
     /// Ties and soft pulls, which depend on frames.
     fn pull_scattered(&self, state: &mut SolveState) {
-        fill_scattered(self.rig, self.body, self.request.transforms, &mut state.rows);
+        fill_scattered(self.handles, self.body, self.request.transforms, &mut state.rows);
     }
 
     /// Solves in the order of the solver's rows: one iteration, or with `is_last` to what the request asks for.
@@ -109,19 +110,18 @@ impl PoseSolve<'_> {
         let SolveState { rows, workspace, .. } = state;
         rows.pose.remember = false;
         rows.pose.show_positions(self.exec.pool);
-        let stats = self.rig.positions.system.pose_equations(&self.body.hierarchy).solve(
-            &mut rows.pose,
-            self.criteria(),
-            workspace,
-            self.exec,
-            &mut |done| {
+        let stats = self
+            .handles
+            .positions
+            .system
+            .pose_equations(&self.body.hierarchy)
+            .solve(&mut rows.pose, self.criteria(), workspace, self.exec, &mut |done| {
                 self.report_cycle(done, before, tally);
                 match tally.stopped || !is_last {
                     true => SolveControl::Stop,
                     false => SolveControl::Continue,
                 }
-            },
-        )?;
+            })?;
         tally.iterations += stats.iterations;
         Ok(stats)
     }

@@ -8,15 +8,13 @@
 use crate::body::DeformableBody;
 use crate::error::Error;
 use crate::first_pass::blend::{LocalFrame, PoseBlend, QuickFrames};
-use crate::first_pass::spread::FirstPass;
 use crate::handles::motion::HandleMotion;
 use crate::handles::ownership::UNHELD;
 use crate::handles::system::HandleSystem;
+use crate::pose::{FirstPass, SolutionExtent, SolveStart, SolveUpdate, SolvedNodes};
 use crate::rotation::Transform;
-use crate::second_pass::solve::{PoseSolve, SolveTally};
-use crate::second_pass::state::{
-    DragRows, NO_NODE, PoseMethod, PoseSolution, SolutionExtent, SolveStart, SolveState, SolveUpdate,
-};
+use crate::second_pass::state::{DragRows, NO_NODE, SolveState};
+use crate::solve::{PoseSolve, SolveTally};
 use glam::{DVec3, Mat3};
 use pliant_exec::Exec;
 use pliant_exec::pool::Pool;
@@ -54,28 +52,28 @@ impl HandleSystem {
 
 impl PoseSolve<'_> {
     /// Whether a pose may take this way.
-    pub(super) fn can_drag(&self) -> bool {
-        let Self { rig, request, .. } = *self;
+    pub(crate) fn can_drag(&self) -> bool {
+        let Self { handles, request, .. } = *self;
         request.start == SolveStart::Warm
-            && request.refinement.steps == 0
-            && request.first_pass == FirstPass::Harmonic
-            && rig.rigid.is_none()
-            && rig.positions.system.can_solve_poses()
-            && request.tolerance.is_none_or(|t| t >= SINGLE_TOLERANCE)
-            && request.max_error.is_none_or(|e| e >= SINGLE_ERROR)
+            && request.steps() == 0
+            && matches!(request.first_pass, FirstPass::Harmonic)
+            && handles.rigid.is_none()
+            && handles.positions.system.can_solve_poses()
+            && request.quality.tolerance.is_none_or(|t| t >= SINGLE_TOLERANCE)
+            && request.quality.max_error.is_none_or(|e| e >= SINGLE_ERROR)
     }
 
     /// Solves a pose from the last solution.
     ///
     /// # Errors
     /// [`Error::Solver`] where numbers left the range of single precision, [`Error::Cancelled`]. The state has then to forget.
-    pub(super) fn drag(
+    pub(crate) fn drag(
         &self,
         state: &mut SolveState,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
-    ) -> Result<PoseSolution, Error> {
+    ) -> Result<SolvedNodes, Error> {
         let Self {
-            rig,
+            handles,
             body,
             request,
             moved_parts,
@@ -84,24 +82,24 @@ impl PoseSolve<'_> {
         exec.progress.begin_pass("blend");
         if !state.rows.is_newest() {
             state.begin_drag(body, request.transforms.len());
-            state.rows.take_over(body, rig, &mut state.x, exec.pool);
+            state.rows.take_over(body, handles, &mut state.x, exec.pool);
             state.extra = Vec::new();
             state.release_start();
         }
         let center = state.rows.mean_of_held(body, request.transforms);
         let pass = RowPass {
-            frames: QuickFrames::new(PoseBlend::new(body, rig, request.transforms, None)),
-            motions: rig.motions(body, &state.transforms, request.transforms),
+            frames: QuickFrames::new(PoseBlend::new(body, handles, request.transforms, None)),
+            motions: handles.motions(body, &state.transforms, request.transforms),
             maps: request.transforms.iter().map(Transform::map).collect(),
             centers: [state.rows.center, center],
-            rig,
+            handles,
             body,
         };
         pass.run(&mut state.rows, exec.pool);
         state.rows.center = center;
         state.transforms.clear();
         state.transforms.extend_from_slice(request.transforms);
-        fill_scattered(rig, body, request.transforms, &mut state.rows);
+        fill_scattered(handles, body, request.transforms, &mut state.rows);
 
         exec.progress.begin_pass("load");
         let mut tally = SolveTally {
@@ -116,10 +114,10 @@ impl PoseSolve<'_> {
         exec.progress.begin_pass("place");
         let nodes = match request.extent {
             // Loose parts follow nodes inside as well.
-            SolutionExtent::Positions | SolutionExtent::Surface if rig.parts.is_empty() => body.graph.surface,
+            SolutionExtent::Positions | SolutionExtent::Surface if handles.parts.is_empty() => body.graph.surface,
             _ => body.nodes(),
         };
-        let placement = rig.placement(body, moved_parts, request.transforms, center);
+        let placement = handles.placement(body, moved_parts, request.transforms, center);
         let rows = &state.rows;
         let at = |node: usize| rows.pose.x[rows.row_of[node] as usize];
         let (mut positions, mut frames) = std::mem::take(&mut state.spare);
@@ -136,45 +134,45 @@ impl PoseSolve<'_> {
         if let Some(node) = positions.iter().position(|p| !p.is_finite()) {
             return Err(Error::Solver(format!("node {node} left the range of numbers")));
         }
-        rig.parts.place(body, &mut positions);
+        handles.parts.place(body, &mut positions);
         match request.extent {
             SolutionExtent::Positions => frames.clear(),
             _ => rows.copy_frames(&mut frames, nodes, exec.pool),
         }
-        Ok(PoseSolution {
+        Ok(SolvedNodes {
             frames,
             positions,
-            refined: 0,
-            iterations: stats.iterations,
-            residual: stats.residual,
-            max_error: stats.max_error * body.unit / body.diagonal,
-            method: PoseMethod::Graph(stats.method),
+            stats: self.stats(&stats, stats.iterations, 0),
         })
     }
 
     fn solve_rows(&self, state: &mut SolveState, tally: &mut SolveTally<'_>) -> Result<SolveStats, Error> {
         let SolveState { rows, workspace, .. } = state;
         rows.pose.remember = true;
-        let stats = self.rig.positions.system.pose_equations(&self.body.hierarchy).solve(
-            &mut rows.pose,
-            self.criteria(),
-            workspace,
-            self.exec,
-            &mut |done| {
+        let stats = self
+            .handles
+            .positions
+            .system
+            .pose_equations(&self.body.hierarchy)
+            .solve(&mut rows.pose, self.criteria(), workspace, self.exec, &mut |done| {
                 self.report_cycle(done, 0, tally);
                 match tally.stopped {
                     true => SolveControl::Stop,
                     false => SolveControl::Continue,
                 }
-            },
-        )?;
+            })?;
         Ok(stats)
     }
 }
 
 /// Ties and soft pulls, which reach few nodes.
-pub(super) fn fill_scattered(rig: &HandleSystem, body: &DeformableBody, transforms: &[Transform], rows: &mut DragRows) {
-    if !rig.has_scattered(body) {
+pub(super) fn fill_scattered(
+    handles: &HandleSystem,
+    body: &DeformableBody,
+    transforms: &[Transform],
+    rows: &mut DragRows,
+) {
+    if !handles.has_scattered(body) {
         return;
     }
     let center = rows.center;
@@ -184,7 +182,7 @@ pub(super) fn fill_scattered(rig: &HandleSystem, body: &DeformableBody, transfor
     pose.more.resize(rows.len(), Lanes::ZERO);
     let frame = |node: usize| Mat3::from_cols_array(&rows[row_of[node] as usize].map()).as_dmat3();
     let more = &mut pose.more;
-    rig.add_scattered(body, transforms, center, frame, &mut |node, by| {
+    handles.add_scattered(body, transforms, center, frame, &mut |node, by| {
         let row = &mut more[row_of[node] as usize].0;
         let by = by.as_vec3();
         (0..3).for_each(|c| row[c] += by[c]);
@@ -199,7 +197,7 @@ struct RowPass<'a, M> {
     maps: Vec<M>,
     /// What places are relative to, before and after.
     centers: [DVec3; 2],
-    rig: &'a HandleSystem,
+    handles: &'a HandleSystem,
     body: &'a DeformableBody,
 }
 
@@ -226,14 +224,14 @@ impl<M: Fn(DVec3) -> DVec3 + Send + Sync> RowPass<'_, M> {
     fn prefetch(&self, node: usize) {
         self.frames.prefetch(node);
         self.motions.iter().for_each(|motion| prefetch(motion.field, node));
-        prefetch(&self.rig.positions.fixed, node);
+        prefetch(&self.handles.positions.fixed, node);
     }
 
     /// Where a node is when the solve begins.
     fn place_of(&self, node: usize, before: DVec3) -> DVec3 {
         let [from, to] = self.centers;
-        if self.rig.positions.fixed[node] {
-            let k = self.rig.position.hard[node];
+        if self.handles.positions.fixed[node] {
+            let k = self.handles.position.hard[node];
             return match self.maps.get(k as usize).filter(|_| k != UNHELD) {
                 Some(map) => self.body.solving_from_model(map(self.body.graph.positions[node])) - to,
                 None => self.body.rest(node) - to,

@@ -2,12 +2,10 @@
 
 mod coarse_first;
 mod drag;
-mod equations;
+pub(super) mod equations;
 pub(super) mod refine;
 pub(super) mod single_precision;
-mod solve;
 pub(super) mod state;
 
 pub use equations::SecondPassEquations;
-pub use refine::{FitOrder, Refinement};
-pub use state::{PoseMethod, PoseRequest, PoseSolution, SolutionExtent, SolveStart, SolveState, SolveUpdate};
+pub use state::SolveState;

@@ -13,37 +13,12 @@ use crate::first_pass::blend::{
 use crate::first_pass::spread::FirstRotations;
 use crate::handles::ownership::UNHELD;
 use crate::handles::system::HandleSystem;
+use crate::pose::{FitOrder, PoseRequest, Quality};
 use crate::rotation::Transform;
 use crate::second_pass::single_precision::QuickFit;
 use glam::{DMat3, DQuat, DVec3, Mat3};
 use pliant_exec::pool::Pool;
 use pliant_mesh::rotation::{exp_rotation, nearest_rotation};
-use rayon::prelude::*;
-
-/// How rotations are fitted after the second pass.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Refinement {
-    /// How often they are fitted, with a solve after each. 0: the paper's two passes.
-    pub steps: u32,
-    /// What the mean rotation of a node's neighbours weighs in its fit, relative to its own edges. 0: nothing.
-    pub smoothing: f64,
-    /// For animations: every fit goes further than it would by `FARTHER`, and a warm solve that goes on from an earlier one's
-    /// fits begins with a fit to where that one's solution was carried to. One fit a frame so comes as near to the minimum as two.
-    pub carried: bool,
-    /// Where fits begin.
-    pub order: FitOrder,
-}
-
-/// Where fits of a pose that is solved from nothing begin.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum FitOrder {
-    /// On the coarse levels of the solver, until the energy hardly falls, and then on the graph, `steps` times at most. Poses with
-    /// smoothing, scales or soft rotations are fitted on the graph alone.
-    #[default]
-    CoarseFirst,
-    /// On the graph alone, `steps` times.
-    GraphAlone,
-}
 
 /// How far a carried fit goes, where 1 is to the rotation that fits best: successive over-relaxation of the alternation, which
 /// creeps towards its minimum.
@@ -52,13 +27,15 @@ const FARTHER: f64 = 1.6;
 /// Fits the rotations of one pose.
 pub(crate) struct RotationFit<'a> {
     body: &'a DeformableBody,
-    rig: &'a HandleSystem,
+    handles: &'a HandleSystem,
     blend: PoseBlend<'a>,
     /// Rotations of the holds.
     holds: Vec<DQuat>,
     /// By component: whether any handle that moved has a say in it.
     moved_parts: &'a [bool],
-    refinement: Refinement,
+    /// What neighbours weigh in a fit.
+    smoothing: f64,
+    is_carried: bool,
     /// The pull of soft handles on rotations: where each node's begin in the list.
     soft: Vec<u32>,
     /// Whether there are neither scales nor soft rotations nor smoothing.
@@ -70,22 +47,18 @@ pub(crate) struct RotationFit<'a> {
 impl<'a> RotationFit<'a> {
     pub fn new(
         body: &'a DeformableBody,
-        rig: &'a HandleSystem,
-        transforms: &[Transform],
+        handles: &'a HandleSystem,
+        request: &PoseRequest<'_>,
         moved_parts: &'a [bool],
-        first: &'a FirstRotations,
-        refinement: Refinement,
+        first: &'a FirstRotations<'_>,
     ) -> Self {
+        let (transforms, smoothing) = (request.transforms, request.quality.smoothing);
+        let is_carried = request.fits == FitOrder::Carried;
         let instead = first.instead.as_deref();
-        let mut soft = Vec::new();
-        if !rig.rotation.soft.is_empty() {
-            soft = vec![0; body.nodes() + 1];
-            rig.rotation.soft.iter().for_each(|s| soft[s.0 as usize + 1] += 1);
-            (0..body.nodes()).for_each(|i| soft[i + 1] += soft[i]);
-        }
-        let blend = PoseBlend::new(body, rig, transforms, instead);
-        let is_plain = blend.is_unscaled() && soft.is_empty() && refinement.smoothing == 0.0;
-        let reach = if refinement.carried { FARTHER } else { 1.0 };
+        let soft = handles.rotation.first_pulls();
+        let blend = PoseBlend::new(body, handles, transforms, instead);
+        let is_plain = blend.is_unscaled() && soft.is_empty() && smoothing == 0.0;
+        let reach = if is_carried { FARTHER } else { 1.0 };
         let quick = instead.filter(|_| is_plain && first.is_animation);
         let quick = quick.map(|first| QuickFit {
             body,
@@ -96,23 +69,24 @@ impl<'a> RotationFit<'a> {
             is_plain,
             quick,
             body,
-            rig,
+            handles,
             blend,
             holds: transforms.iter().map(|t| exp_rotation(t.rotation)).collect(),
             moved_parts,
-            refinement,
+            smoothing,
+            is_carried,
             soft,
         }
     }
 
     /// Whether fits depend on positions alone: there are neither scales nor soft rotations nor smoothing.
     pub fn is_plain(&self) -> bool {
-        self.is_plain && !self.refinement.carried
+        self.is_plain && !self.is_carried
     }
 
     /// Whether a node's rotation is open: it is in a part that moves, and no handle says how it is turned.
     pub fn is_open(&self, node: usize) -> bool {
-        self.moved_parts[self.body.graph.component[node] as usize] && self.rig.rotation.hard[node] == UNHELD
+        self.moved_parts[self.body.graph.component[node] as usize] && self.handles.rotation.hard[node] == UNHELD
     }
 
     fn first(&self, node: usize) -> DQuat {
@@ -165,9 +139,7 @@ impl<'a> RotationFit<'a> {
             return quick.step(turns, x, |i| self.is_open(i), pool);
         }
         self.each(pool, |i| match self.is_open(i) {
-            true if self.refinement.carried => {
-                pack_rotation(farther(unpack_rotation(turns[i]), self.fitted(i, turns, x)))
-            }
+            true if self.is_carried => pack_rotation(farther(unpack_rotation(turns[i]), self.fitted(i, turns, x))),
             true => pack_rotation(self.fitted(i, turns, x)),
             false => turns[i],
         })
@@ -184,7 +156,7 @@ impl<'a> RotationFit<'a> {
             sum += DMat3::from_cols(now * edge.x, now * edge.y, now * edge.z);
             size += w * edge.length_squared();
             weights += w;
-            if self.refinement.smoothing > 0.0 {
+            if self.smoothing > 0.0 {
                 around += DMat3::from_quat(unpack_rotation(turns[j])) * w;
             }
         }
@@ -194,10 +166,10 @@ impl<'a> RotationFit<'a> {
         }
         if weights > 0.0 {
             let unit = size / weights;
-            sum += around * (self.refinement.smoothing * unit);
+            sum += around * (self.smoothing * unit);
             if !self.soft.is_empty() {
                 let pulls = self.soft[i] as usize..self.soft[i + 1] as usize;
-                for &(_, k, stiffness) in &self.rig.rotation.soft[pulls] {
+                for &(_, k, stiffness) in &self.handles.rotation.soft[pulls] {
                     let held = self.holds.get(k as usize).copied().unwrap_or(DQuat::IDENTITY);
                     sum += DMat3::from_quat(held) * (stiffness * unit);
                 }
@@ -207,13 +179,7 @@ impl<'a> RotationFit<'a> {
     }
 
     fn each<T: Send>(&self, pool: &Pool, value: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
-        pool.install(|| {
-            (0..self.body.nodes())
-                .into_par_iter()
-                .with_min_len(1024)
-                .map(value)
-                .collect()
-        })
+        pool.map(self.body.nodes(), 1024, value)
     }
 }
 
@@ -230,7 +196,8 @@ impl HandleSystem {
     pub fn energy(&self, body: &DeformableBody, transforms: &[Transform], positions: &[DVec3], pool: &Pool) -> f64 {
         let moved_parts = self.moved_parts(body, transforms);
         let first = FirstRotations::BLEND;
-        let fit = RotationFit::new(body, self, transforms, &moved_parts, &first, Refinement::default());
+        let request = PoseRequest::new(transforms, Quality::DEFAULT);
+        let fit = RotationFit::new(body, self, &request, &moved_parts, &first);
         let x: Vec<f64> = positions
             .iter()
             .flat_map(|p| body.solving_from_model(*p).to_array())

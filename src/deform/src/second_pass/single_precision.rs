@@ -31,7 +31,7 @@ impl QuickFit<'_> {
         is_open: impl Fn(usize) -> bool + Sync,
         pool: &Pool,
     ) -> Vec<LocalRotation> {
-        each_node(self.first.len(), pool, |i| match is_open(i) {
+        pool.map(self.first.len(), 1024, |i| match is_open(i) {
             true => (quat(extra[i]) * quat(self.first[i])).normalize().to_array(),
             false => self.first[i],
         })
@@ -39,7 +39,7 @@ impl QuickFit<'_> {
 
     /// What refinement has added to the first pass's rotations.
     pub fn extra(&self, turns: &[LocalRotation], pool: &Pool) -> Vec<LocalRotation> {
-        each_node(self.first.len(), pool, |i| {
+        pool.map(self.first.len(), 1024, |i| {
             (quat(turns[i]) * quat(self.first[i]).inverse()).to_array()
         })
     }
@@ -59,8 +59,8 @@ impl QuickFit<'_> {
     ) -> Vec<LocalRotation> {
         let rest = &self.body.single_rest().positions;
         let now = |i: usize| DVec3::from_slice(&x[3 * i..3 * i + 3]).as_vec3a();
-        let places: Vec<[Vec3A; 2]> = each_node(rest.len(), pool, |i| [rest[i], now(i)]);
-        each_node(rest.len(), pool, |i| match is_open(i) {
+        let places: Vec<[Vec3A; 2]> = pool.map(rest.len(), 1024, |i| [rest[i], now(i)]);
+        pool.map(rest.len(), 1024, |i| match is_open(i) {
             true => self.fitted(i, turns[i], &places),
             false => turns[i],
         })
@@ -86,7 +86,7 @@ impl QuickFit<'_> {
 
 /// The frames of rotations.
 pub(crate) fn frames_of(turns: &[LocalRotation], pool: &Pool) -> Vec<LocalFrame> {
-    each_node(turns.len(), pool, |i| Mat3::from_quat(quat(turns[i])).to_cols_array())
+    pool.map(turns.len(), 1024, |i| Mat3::from_quat(quat(turns[i])).to_cols_array())
 }
 
 /// Equation (8)'s right-hand side on the nodes that are not given, three numbers each, without ties and soft pulls.
@@ -98,7 +98,7 @@ pub(crate) fn fill_right_hand_side(
     pool: &Pool,
 ) {
     let SingleRest { positions, laplacian } = body.single_rest();
-    let framed: Vec<(Mat3A, Vec3A)> = each_node(frames.len(), pool, |i| {
+    let framed: Vec<(Mat3A, Vec3A)> = pool.map(frames.len(), 1024, |i| {
         (Mat3A::from_cols_array(&frames[i]), positions[i])
     });
     pool.install(|| {
@@ -128,8 +128,4 @@ fn for_edges(body: &DeformableBody, node: usize, mut edge: impl FnMut(usize, f32
 
 fn quat(turn: LocalRotation) -> Quat {
     Quat::from_array(turn)
-}
-
-fn each_node<T: Send>(nodes: usize, pool: &Pool, value: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
-    pool.install(|| (0..nodes).into_par_iter().with_min_len(1024).map(value).collect())
 }

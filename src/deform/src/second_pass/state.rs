@@ -1,117 +1,15 @@
-//! A pose that is to be solved, what comes of it, and what one solve leaves to the next.
+//! What one solve leaves to the next.
 //!
 //! A drag keeps its last solution in the order of the solver's rows, with what finds a node in it.
 
 use crate::body::DeformableBody;
 use crate::first_pass::blend::{LocalFrame, LocalRotation};
-use crate::first_pass::spread::FirstPass;
 use crate::handles::ownership::UNHELD;
 use crate::handles::system::HandleSystem;
 use crate::rotation::Transform;
-use crate::second_pass::refine::Refinement;
 use glam::DVec3;
 use pliant_exec::pool::Pool;
 use pliant_solver::{PoseRows, Workspace};
-
-/// Where the solver starts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum SolveStart {
-    /// Full multigrid: the result depends on nothing but the request.
-    Fresh,
-    /// The last solution of the [`SolveState`], or the rest shape when there is none, carried along with the handles.
-    Warm,
-}
-
-/// A pose to solve.
-pub struct PoseRequest<'a> {
-    /// By hold of the rig.
-    pub transforms: &'a [Transform],
-    /// Relative residual to reach (the paper's), when given.
-    pub tolerance: Option<f64>,
-    /// Largest missing displacement to reach, as a fraction of the diagonal, when given.
-    pub max_error: Option<f64>,
-    /// Where to start.
-    pub start: SolveStart,
-    /// How rotations are spread from the handles.
-    pub first_pass: FirstPass,
-    /// Fitting rotations after the second pass.
-    pub refinement: Refinement,
-    /// Which nodes the solution has.
-    pub extent: SolutionExtent,
-}
-
-/// Which nodes a solution has positions and frames of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum SolutionExtent {
-    /// All.
-    #[default]
-    Graph,
-    /// Positions of the surface at least, and frames where they cost nothing: for frames that are shown.
-    Positions,
-    /// Positions and frames of the surface at least.
-    Surface,
-}
-
-/// A state of a solve that is under way, given to the watcher after every cycle.
-pub struct SolveUpdate<'a> {
-    /// Cycles done, from 1.
-    pub cycle: u32,
-    /// Fits of rotations done.
-    pub refined: u32,
-    /// Relative residual reached, largest over coordinates.
-    pub residual: f64,
-    /// Estimated largest missing displacement, fraction of the diagonal.
-    pub max_error: f64,
-    /// Makes the positions of this state, model space: of all nodes, or of the render vertices where a deformer solves. Costs
-    /// a pass over them.
-    pub positions: &'a dyn Fn() -> Vec<DVec3>,
-}
-
-/// A solved pose.
-#[derive(Debug, Clone)]
-pub struct PoseSolution {
-    /// Positions of all graph nodes, or of at least the first ones with a smaller [`SolutionExtent`], model space; the
-    /// first `graph.surface` are the mesh's vertices. Parts in which no handle has moved keep the bits of their rest
-    /// positions.
-    pub positions: Vec<DVec3>,
-    /// Frames of the same nodes, of the first pass or as refined; empty when nothing moved, and where [`SolutionExtent::Positions`] does
-    /// without them.
-    pub frames: Vec<LocalFrame>,
-    /// How often rotations were fitted; less than was asked for when the solve was cut short.
-    pub refined: u32,
-    /// Iterations of the solver.
-    pub iterations: usize,
-    /// Relative residual, largest over coordinates.
-    pub residual: f64,
-    /// Estimated largest missing displacement, fraction of the diagonal.
-    pub max_error: f64,
-    /// How it was solved.
-    pub method: PoseMethod,
-}
-
-/// How a pose was solved.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum PoseMethod {
-    /// By two passes on the graph, and how the solver ended.
-    Graph(pliant_solver::SolveMethod),
-    /// By radial basis functions in space.
-    SpatialRbf,
-}
-
-impl PoseSolution {
-    /// Nothing has moved.
-    pub(crate) fn at_rest(body: &DeformableBody) -> Self {
-        Self {
-            positions: body.graph.positions.clone(),
-            frames: Vec::new(),
-            refined: 0,
-            iterations: 0,
-            residual: 0.0,
-            max_error: 0.0,
-            method: PoseMethod::Graph(pliant_solver::SolveMethod::Trivial),
-        }
-    }
-}
 
 /// What a solve keeps for the next one: the last solution and scratch memory.
 #[derive(Default)]
@@ -196,8 +94,8 @@ impl SolveState {
         self.rhs.clear();
     }
 
-    /// Lets go of the last solution.
-    pub(crate) fn forget(&mut self) {
+    /// Lets go of the last solution: the next solve starts from the rest shape.
+    pub fn forget(&mut self) {
         self.rows.let_go();
         self.x.clear();
         self.extra.clear();
@@ -233,7 +131,7 @@ pub(crate) struct DragRows {
 
 impl DragRows {
     /// Takes over the last solution, `x` in the order of nodes, which is given up; where that is empty, the rest shape.
-    pub(super) fn take_over(&mut self, body: &DeformableBody, rig: &HandleSystem, x: &mut Vec<f64>, pool: &Pool) {
+    pub(super) fn take_over(&mut self, body: &DeformableBody, handles: &HandleSystem, x: &mut Vec<f64>, pool: &Pool) {
         if self.is_newest {
             return;
         }
@@ -254,7 +152,7 @@ impl DragRows {
         // Finding rows takes one thread; poses have work for the others.
         pool.install(|| rayon::join(|| pose.begin(&body.hierarchy, rest, start, pool), find_rows));
         self.center = DVec3::ZERO;
-        self.find_held(body, rig);
+        self.find_held(body, handles);
         *x = Vec::new();
         self.is_newest = true;
     }
@@ -294,12 +192,12 @@ impl DragRows {
         self.is_newest = false;
     }
 
-    fn find_held(&mut self, body: &DeformableBody, rig: &HandleSystem) {
-        let holds = rig.handle_count();
+    fn find_held(&mut self, body: &DeformableBody, handles: &HandleSystem) {
+        let holds = handles.handle_count();
         let mut held = vec![(0.0, DVec3::ZERO); holds];
         self.unmoved = (0.0, DVec3::ZERO);
-        for (node, _) in rig.given().iter().enumerate().filter(|(_, given)| **given) {
-            let k = rig.position.hard[node];
+        for (node, _) in handles.given().iter().enumerate().filter(|(_, given)| **given) {
+            let k = handles.position.hard[node];
             match held.get_mut(k as usize).filter(|_| k != UNHELD) {
                 Some((count, sum)) => {
                     *count += 1.0;

@@ -11,7 +11,7 @@ use crate::stream::frame_window::{FrameContext, ms_of};
 use glam::DVec3;
 use pliant_core::engine::{
     Deformer, ESTIMATED_MEMORY, EditCommand, Error, HandlePoses, HandleSet, ModelShape, Shader, Shading, SolveMode,
-    SolveSettings, SolveUpdate, SolvedShape, TopologyState, digest,
+    SolveSettings, SolveUpdate, TopologyState, digest,
 };
 use pliant_exec::Exec;
 use pliant_wire::frames::Frame;
@@ -246,13 +246,13 @@ impl LoadedDeformer {
         frame.header.solve_ms = ms_of(solve_time);
         Ok(PoseAnswer {
             frame,
-            cycles: solved.cycles,
+            cycles: solved.stats.cycles,
             commit: Some(PosedState {
                 warnings,
                 poses,
-                settings: options.solve.clone(),
+                settings: options.solve,
                 digest: digest(&solved.positions),
-                shape: Some(solved.shape()),
+                shape: Some(solved),
             }),
         })
     }
@@ -263,13 +263,13 @@ impl LoadedDeformer {
         seq: u64,
         options: &DeformOptions,
         frames: &FrameContext,
-        solved: &SolvedShape,
+        solved: &ModelShape,
     ) -> Frame {
         let shading = self.shade(&solved.positions, options);
         let mut frame = frames.frame(seq, options.output, Arc::clone(&solved.positions), shading);
         frame.header.r#final = true;
-        frame.header.residual = solved.residual;
-        frame.header.max_error = solved.max_error;
+        frame.header.residual = solved.stats.residual;
+        frame.header.max_error = solved.stats.max_error;
         frame
     }
 
@@ -287,10 +287,10 @@ impl LoadedDeformer {
         mode: SolveMode,
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
-    ) -> Result<SolvedShape, Error> {
+    ) -> Result<ModelShape, Error> {
         exec.check()?;
         let solved = self.engine.solve(poses, settings, mode, exec, watch)?;
-        report_solve(solved.cycles, solved.residual, solved.positions.len());
+        report_solve(solved.stats.cycles, solved.stats.residual, solved.positions.len());
         Ok(solved)
     }
 
@@ -308,9 +308,7 @@ impl LoadedDeformer {
                 settings,
             } => {
                 self.load_state(topology.as_ref(), handles, exec)?;
-                Ok(self
-                    .solve(poses, settings, SolveMode::Commit, exec, &mut |_| true)?
-                    .shape())
+                self.solve(poses, settings, SolveMode::Commit, exec, &mut |_| true)
             }
         }
     }

@@ -161,7 +161,7 @@ impl Replay<'_> {
                         topology: state.topology.clone(),
                         handles: Arc::clone(&state.handles),
                         poses: poses.clone(),
-                        settings: settings.clone(),
+                        settings: *settings,
                     };
                     let solved = self.deformer.solve_recipe(&recipe, self.exec)?;
                     now = self.compare(stored, probe, &solved.positions, state.diagonal)?;
@@ -170,7 +170,7 @@ impl Replay<'_> {
                 self.history.commit_pose(PosedState {
                     poses: poses.clone(),
                     warnings: warnings.clone(),
-                    settings: settings.clone(),
+                    settings: *settings,
                     shape,
                     digest: now,
                 });

@@ -51,7 +51,7 @@ impl SessionTask {
         }
         let commit = LoggedCommit::Pose {
             poses: posed.poses.clone(),
-            settings: posed.settings.clone(),
+            settings: posed.settings,
             warnings: posed.warnings.clone(),
             probe: ShapeProbe::of(&frame.positions),
             frame: claim.map(|_| {

@@ -15,7 +15,7 @@ use crate::stream::mailbox::Mailbox;
 use crate::stream::mailbox::{DraggedPoses, PoseEntries, WaitingPose};
 use crate::task::commands::lane_of_commit;
 use crate::task::session_task::{SessionTask, no_handles};
-use pliant_core::engine::{self, HandlePose, HandlePoses, SolveMode, SolveSettings, SolveUpdate, TopologyState};
+use pliant_core::engine::{self, HandlePose, HandlePoses, Quality, SolveMode, SolveUpdate, TopologyState};
 use pliant_wire::frames::Frame;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -292,8 +292,8 @@ impl TurnContext {
             if watch.elapsed() >= budget || ((settings.progressive || refining) && has_newer()) {
                 return false;
             }
-            let is_unfinished =
-                !is_good_enough(now, &settings.solve) || now.refined < settings.solve.refine.unwrap_or(0);
+            let is_unfinished = !is_good_enough(now, &settings.solve.quality)
+                || now.refined < settings.solve.quality.refine.unwrap_or(0);
             if settings.progressive && is_unfinished && self.mailbox.wants_intermediate_frame() {
                 let positions = Arc::new((now.positions)());
                 let shading = shader.as_ref().map(|s| Arc::new(s.shade(&positions)));
@@ -311,7 +311,7 @@ impl TurnContext {
         frame.header.solve_ms = ms_of(solve_time);
         Ok(PoseAnswer {
             frame,
-            cycles: solved.cycles,
+            cycles: solved.stats.cycles,
             commit: None,
         })
     }
@@ -348,6 +348,6 @@ fn valid_changes(
 }
 
 /// Whether a state is good enough, so that the final frame follows at once.
-fn is_good_enough(now: &SolveUpdate<'_>, settings: &SolveSettings) -> bool {
-    settings.tolerance.is_some_and(|t| now.residual <= t) || settings.max_error.is_some_and(|e| now.max_error <= e)
+fn is_good_enough(now: &SolveUpdate<'_>, quality: &Quality) -> bool {
+    quality.tolerance.is_some_and(|t| now.residual <= t) || quality.max_error.is_some_and(|e| now.max_error <= e)
 }

@@ -15,7 +15,7 @@ use crate::graph::WeightedGraph;
 use crate::lanes::{Lanes, SharedRows};
 use crate::lanes::{NO_ROW, SLICE_ROWS};
 use crate::options::{BuildOptions, CoarseOperators, LevelSize};
-use crate::paper::restrict::UncutGraph;
+use crate::paper::level::UncutGraph;
 use crate::threads::{Parallelism, piece_count, piece_rows};
 use pliant_exec::Exec;
 use pliant_exec::pool::Pool;

@@ -7,9 +7,8 @@ use crate::build::hierarchy::Hierarchy;
 use crate::dense_inverse::DenseInverse;
 use crate::lanes::NO_ROW;
 use crate::options::{BuildOptions, LevelSize};
-use crate::paper::restrict::{
-    LevelEquations, OperatorReading, PaperLevel, RETAINED, UncutGraph, restrict_equations_by,
-};
+use crate::paper::level::{LevelEquations, PaperLevel, RETAINED, UncutGraph};
+use crate::paper::restrict::{OperatorReading, restrict_equations_by};
 
 /// Most vertices of a coarsest level that could not be coarsened any further.
 const DENSE: usize = 1000;
@@ -293,7 +292,7 @@ impl UncutGraph {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::paper::restrict::tests::level_of;
+    use crate::paper::level::tests::level_of;
     use crate::paper::testing::lattice;
 
     #[test]

@@ -8,9 +8,9 @@ use crate::lanes::{WIDTH, WideLanes, per_lane, ratio};
 use crate::options::{InitialGuess, SolveMethod};
 use crate::paper::hierarchy::PaperHierarchy;
 use crate::paper::restrict::{
-    ConjugateSteps, EdgeOffsets, OperatorReading, add, add_correction_from, defect, prolong, restrict_defect,
-    restricted_constants, sweep,
+    EdgeOffsets, OperatorReading, add, add_correction_from, prolong, restrict_defect, restricted_constants,
 };
+use crate::paper::smooth::{ConjugateSteps, defect, sweep};
 use crate::solve::advance::rhs_reference_norms;
 use crate::solve::fallback::conjugate_gradients;
 use crate::solve::group::{

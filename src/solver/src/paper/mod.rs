@@ -69,7 +69,9 @@
 
 pub(crate) mod hierarchy;
 mod iterate;
-pub(crate) mod restrict;
+pub(crate) mod level;
+mod restrict;
+mod smooth;
 #[cfg(test)]
 mod testing;
 #[cfg(test)]

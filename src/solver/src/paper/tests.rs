@@ -5,10 +5,11 @@ use crate::lanes::{WIDTH, WideLanes};
 use crate::options::{BuildOptions, CoarseOperators, Constraints, InitialGuess, SolveMethod, SolveOptions, SolveStats};
 use crate::paper::hierarchy::PaperHierarchy;
 use crate::paper::iterate::{PaperVectors, vectors};
+use crate::paper::level::LevelEquations;
 use crate::paper::restrict::{
-    EdgeOffsets, LevelEquations, OperatorReading, add_correction_from, defect, prolong, restrict_defect,
-    restricted_constants,
+    EdgeOffsets, OperatorReading, add_correction_from, prolong, restrict_defect, restricted_constants,
 };
+use crate::paper::smooth::defect;
 use crate::paper::testing::{held, lattice, paper, path, sheet};
 use crate::solve::group::{SolveControl, Workspace};
 use crate::testing::{BoxLattice, pool};
@@ -131,7 +132,7 @@ fn without_constraints_near_by_constants_are_prolonged_and_corrections_are_dampe
     add_correction_from(level, fine, OperatorReading::Held, &ones, &zero, &mut correction);
     for i in (0..level.vertices()).filter(|&i| fine.alphas[i] == 0.0) {
         assert!((harmonic[i][0] - 1.0).abs() < 1e-15, "(14) keeps constants");
-        let all = level.to_retained(i).count() == 0 || level.elevated[i] != crate::paper::restrict::RETAINED;
+        let all = level.to_retained(i).count() == 0 || level.elevated[i] != crate::paper::level::RETAINED;
         assert!(
             correction[i][0] <= 1.0 + 1e-15 && (all || correction[i][0] < 1.0),
             "(17) does not"

@@ -77,11 +77,26 @@ impl<'a> MaskedLevel<'a> {
         partials: &mut Vec<LaneDots>,
         body: impl Fn(std::ops::Range<usize>, V) -> LaneDots + Sync + Send,
     ) -> [WideLanes; 3] {
+        self.sum_blocks::<_, false>(vectors, partials, body)
+    }
+
+    /// The same, in any order or as a backward sweep.
+    #[inline]
+    fn sum_blocks<V: RowVectors, const BACKWARD: bool>(
+        &self,
+        vectors: V,
+        partials: &mut Vec<LaneDots>,
+        body: impl Fn(std::ops::Range<usize>, V) -> LaneDots + Sync + Send,
+    ) -> [WideLanes; 3] {
         partials.clear();
         partials.resize(self.mask.active.len(), [Lanes::ZERO; 3]);
         let shared = SharedRows::new(partials.as_mut_slice());
         // SAFETY: each block has a number of its own and is visited once.
-        self.each_block(vectors, |k, rows, parts| unsafe { shared.set(k, body(rows, parts)) });
+        let sum = |k: usize, rows: std::ops::Range<usize>, parts: V| unsafe { shared.set(k, body(rows, parts)) };
+        match BACKWARD {
+            true => self.sweep(true, vectors, sum),
+            false => self.each_block(vectors, sum),
+        }
         sum_up(partials)
     }
 
@@ -125,24 +140,6 @@ impl<'a> MaskedLevel<'a> {
                     body(k, rows.clone(), unsafe { V::rows(shared, rows) });
                 });
         }
-    }
-
-    /// The same backward; adds up what `body` returns for each active block, always in the same order.
-    #[inline]
-    fn sum_backward<V: RowVectors>(
-        &self,
-        vectors: V,
-        partials: &mut Vec<LaneDots>,
-        body: impl Fn(std::ops::Range<usize>, V) -> LaneDots + Sync + Send,
-    ) -> [WideLanes; 3] {
-        partials.clear();
-        partials.resize(self.mask.active.len(), [Lanes::ZERO; 3]);
-        let shared = SharedRows::new(partials.as_mut_slice());
-        // SAFETY: each block has a number of its own and is visited once.
-        self.sweep(true, vectors, |k, rows, parts| unsafe {
-            shared.set(k, body(rows, parts))
-        });
-        sum_up(partials)
     }
 
     /// x = (D − L)⁻¹ b, where L holds the entries before the diagonal: a forward sweep from x = 0.
@@ -306,7 +303,7 @@ impl<'a> MaskedLevel<'a> {
         let n = level.rows();
         assert!(b.len() == n && c.len() == n && t.len() == n && x.len() == n && inverses.len() == n);
         let x = SharedRows::new(x);
-        self.sum_backward((), partials, |rows, ()| {
+        self.sum_blocks::<_, true>((), partials, |rows, ()| {
             let mut sums = [Lanes::ZERO; 3];
             for k in (rows.start / SLICE_ROWS..rows.end / SLICE_ROWS).rev() {
                 let (_, middle, end) = level.slice_extent(k);
@@ -361,7 +358,7 @@ impl<'a> MaskedLevel<'a> {
         let n = level.rows();
         assert!(b.len() == n && c.len() == n && x.len() == n && inverses.len() == n);
         let x = SharedRows::new(x);
-        self.sum_backward(t, partials, |rows, t| {
+        self.sum_blocks::<_, true>(t, partials, |rows, t| {
             let mut sums = [Lanes::ZERO; 3];
             let first = rows.start;
             for k in (rows.start / SLICE_ROWS..rows.end / SLICE_ROWS).rev() {

@@ -1,5 +1,7 @@
 //! An allocator that counts what is asked of it.
 
+#![allow(unsafe_code)]
+
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::Mutex;

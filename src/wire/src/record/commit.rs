@@ -7,8 +7,8 @@ use super::messages::{
 use crate::frames::{FrameEncoding, FrameOutput};
 use crate::{Error, SessionEdit, handle_pose, handle_pose_message, handle_set, handle_set_message, pb, session_edit};
 use glam::DVec3;
-use pliant_core::engine::{Edit, HandlePose, HandlePoses, HandleSet, SolveSettings};
-use pliant_deform::{FirstPass, FitOrder};
+use pliant_core::engine::{Edit, HandlePose, HandlePoses, HandleSet, Method, Quality, SolveSettings};
+use pliant_deform::FitOrder;
 use prost::Message as _;
 
 /// Places of a shape that are kept to compare it with.
@@ -237,20 +237,20 @@ fn recorded_poses(messages: &[pb::HandlePose]) -> Result<HandlePoses, Error> {
 }
 
 fn settings_message(settings: &SolveSettings) -> SettingsMessage {
+    let SolveSettings { quality, method, fits } = settings;
     SettingsMessage {
-        tolerance: settings.tolerance,
-        max_error: settings.max_error,
-        refine: settings.refine,
-        rotation_smoothing: settings.rotation_smoothing,
-        first_pass: match settings.first_pass {
-            // Requests cannot choose the weighted sum; only programs that compare methods do.
-            FirstPass::Harmonic | FirstPass::WeightedSum => pb::options::FirstPass::Harmonic,
-            FirstPass::Diffusion => pb::options::FirstPass::Diffusion,
-            FirstPass::LinearFrames => pb::options::FirstPass::LinearFrames,
+        tolerance: quality.tolerance,
+        max_error: quality.max_error,
+        refine: quality.refine,
+        rotation_smoothing: quality.smoothing,
+        first_pass: match method {
+            Method::Harmonic | Method::SpatialRbf => pb::options::FirstPass::Harmonic,
+            Method::Diffusion => pb::options::FirstPass::Diffusion,
+            Method::LinearFrames => pb::options::FirstPass::LinearFrames,
         }
         .into(),
-        spatial_rbf: settings.spatial_rbf,
-        coarse_first: settings.fit_order == FitOrder::CoarseFirst,
+        spatial_rbf: *method == Method::SpatialRbf,
+        coarse_first: *fits == FitOrder::CoarseFirst,
     }
 }
 
@@ -268,13 +268,16 @@ fn recorded_settings(message: &SettingsMessage) -> Result<SolveSettings, Error> 
     };
     let checked = crate::DeformOptions::check(&asked, "settings", 64)?;
     Ok(SolveSettings {
-        tolerance: message.tolerance,
-        max_error: message.max_error,
-        fit_order: match message.coarse_first {
+        quality: Quality {
+            tolerance: message.tolerance,
+            max_error: message.max_error,
+            ..checked.solve.quality
+        },
+        method: checked.solve.method,
+        fits: match message.coarse_first {
             true => FitOrder::CoarseFirst,
             false => FitOrder::GraphAlone,
         },
-        ..checked.solve
     })
 }
 

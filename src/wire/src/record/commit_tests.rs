@@ -2,7 +2,6 @@
 
 use super::*;
 use pliant_core::engine::{Handle, HandleScale, Region};
-use pliant_deform::FitOrder;
 use proptest::prelude::*;
 
 fn facts() -> Box<pb::Session> {
@@ -45,13 +44,14 @@ fn commits() -> Vec<LoggedCommit> {
         LoggedCommit::Pose {
             poses: poses.clone(),
             settings: SolveSettings {
-                tolerance: None,
-                max_error: Some(third),
-                refine: Some(0),
-                fit_order: FitOrder::GraphAlone,
-                rotation_smoothing: third,
-                first_pass: FirstPass::Diffusion,
-                spatial_rbf: true,
+                quality: Quality {
+                    tolerance: None,
+                    max_error: Some(third),
+                    refine: Some(0),
+                    smoothing: third,
+                },
+                method: Method::Diffusion,
+                fits: FitOrder::GraphAlone,
             },
             warnings: vec![pb::Warning {
                 code: "a".into(),
@@ -81,7 +81,11 @@ fn commits() -> Vec<LoggedCommit> {
             poses: poses.clone(),
             // No request can ask for it: a default stands where nothing is given.
             settings: SolveSettings {
-                tolerance: None,
+                quality: Quality {
+                    tolerance: None,
+                    ..Quality::default()
+                },
+                method: Method::SpatialRbf,
                 ..SolveSettings::default()
             },
             warnings: Vec::new(),

@@ -1,10 +1,10 @@
 //! The frames of an animation, block by block, and sums over them.
 
 use crate::deform::{
-    FirstPass, FitOrder, PoseRequest, PoseSolution, Refinement, SolutionExtent, SolveStart, SolveState, Transform,
+    FirstPass, FitOrder, PoseRequest, Quality, SolutionExtent, SolveStart, SolveState, SolvedNodes, Transform,
     unfold_faces,
 };
-use crate::engine::animation::prepare::{Animation, AnimationRefinement, BLOCK_FRAMES};
+use crate::engine::animation::prepare::{Animation, BLOCK_FRAMES};
 use crate::engine::error::Error;
 use crate::engine::facts::QualityReport;
 use crate::engine::quality::FrameQuality;
@@ -234,9 +234,9 @@ impl Animation {
 
     /// A cursor at the beginning of a range, as far as there are frames.
     pub fn cursor(&self, range: Range<usize>) -> FrameCursor {
-        let lead = match self.settings.refinement {
-            AnimationRefinement::Carried => LEAD_FRAMES,
-            AnimationRefinement::Steps(_) => 0,
+        let lead = match self.quality.refine {
+            None => LEAD_FRAMES,
+            Some(_) => 0,
         };
         FrameCursor::over(range.start..range.end.min(self.times.count), lead)
     }
@@ -268,28 +268,25 @@ impl Animation {
         let transforms: Vec<Transform> = (self.handles.iter())
             .map(|handle| transform(&handle.motion(&self.rig, &pose)))
             .collect();
-        let (start, steps) = match (is_first, self.settings.refinement) {
-            (true, AnimationRefinement::Carried) if index == 0 => (SolveStart::Fresh, FIRST_FITS),
-            (true, AnimationRefinement::Carried) => (SolveStart::Fresh, LEAD_FITS),
-            (true, AnimationRefinement::Steps(steps)) => (SolveStart::Fresh, steps),
-            (false, AnimationRefinement::Carried) => (SolveStart::Warm, CARRIED_FITS),
-            (false, AnimationRefinement::Steps(steps)) => {
+        let (fits, steps) = match self.quality.refine {
+            None if index == 0 => (FitOrder::Carried, FIRST_FITS),
+            None if is_first => (FitOrder::Carried, LEAD_FITS),
+            None => (FitOrder::Carried, CARRIED_FITS),
+            Some(steps) => {
                 state.forget_fits();
-                (SolveStart::Warm, steps)
+                (FitOrder::GraphAlone, steps)
             }
         };
         let request = PoseRequest {
             transforms: &transforms,
-            tolerance: self.settings.tolerance,
-            max_error: self.settings.max_error,
-            start,
-            first_pass: FirstPass::WeightedSum,
-            refinement: Refinement {
-                steps,
+            quality: Quality {
+                refine: Some(steps),
                 smoothing: 0.0,
-                carried: self.settings.refinement == AnimationRefinement::Carried,
-                order: FitOrder::GraphAlone,
+                ..self.quality
             },
+            start: if is_first { SolveStart::Fresh } else { SolveStart::Warm },
+            first_pass: FirstPass::WeightedSum,
+            fits,
             extent: SolutionExtent::Graph,
         };
         let body = &self.derived.body;
@@ -342,9 +339,9 @@ impl Animation {
             seconds,
             root,
             positions,
-            cycles: solution.iterations,
-            residual: solution.residual,
-            max_error: solution.max_error,
+            cycles: solution.stats.cycles as usize,
+            residual: solution.stats.residual,
+            max_error: solution.stats.max_error,
             quality,
         })
     }
@@ -357,7 +354,7 @@ type SolvedStep = Option<(AnimatedFrame, f64)>;
 struct SolvedPose {
     root: RigidMotion,
     transforms: Vec<Transform>,
-    solution: PoseSolution,
+    solution: SolvedNodes,
 }
 
 fn transform(motion: &RigidMotion) -> Transform {

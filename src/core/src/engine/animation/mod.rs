@@ -10,6 +10,7 @@
 
 mod frames;
 mod held_nodes;
+mod key_frames;
 mod made_rig;
 mod moving_clip;
 mod played;
@@ -23,6 +24,6 @@ pub use made_rig::{
 };
 pub use played::{PlayedClipFile, PlayedForm, WrittenError, node_place};
 pub use prepare::{
-    Animation, AnimationLimits, AnimationRefinement, AnimationSettings, BLOCK_FRAMES, ClipRequest, ClipSource,
-    FrameChoice, FrameTimes, RigNodes,
+    ANIMATION_QUALITY, Animation, AnimationLimits, BLOCK_FRAMES, ClipRequest, ClipSource, FrameChoice, FrameTimes,
+    RigNodes,
 };

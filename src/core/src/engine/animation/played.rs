@@ -2,8 +2,8 @@
 //! those of the rig with weights that fit, or with correctives.
 
 use super::frames::FrameSource;
+use super::key_frames::choose_key_frames;
 use super::made_rig::{bind_model, carrying_joints, influences_of_skin};
-use super::moving_clip::choose_key_frames;
 use super::prepare::Animation;
 use crate::asset::{
     CarryingJoints, ClipBeside, MorphClip, NodeKeys, NodePlace, PlayedCorrectives, PlayedJoint, SkinnedClip,

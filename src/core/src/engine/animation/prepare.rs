@@ -1,7 +1,7 @@
 //! An animation before its first frame: what is asked for of it, and the rig's handles on the body, with fields of their own.
 
 use crate::asset::Model;
-use crate::deform::{HandleConstraint, HandleSetup, HandleSystem};
+use crate::deform::{HandleConstraint, HandleSetup, HandleSystem, Quality};
 use crate::engine::animation::held_nodes::{RigHandleFacts, hold_nodes};
 use crate::engine::deformer::Deformer;
 use crate::engine::derived_structures::{DerivedStructures, admit_bytes};
@@ -48,8 +48,8 @@ pub struct ClipRequest {
     pub frames: FrameChoice,
     /// Model units for one unit of the clip, in place of the rig's.
     pub scale: Option<f64>,
-    /// How frames are solved.
-    pub settings: AnimationSettings,
+    /// How exactly frames are solved; see [`ANIMATION_QUALITY`].
+    pub quality: Quality,
 }
 
 /// How large an animation may be.
@@ -63,36 +63,15 @@ pub struct AnimationLimits {
     pub vertices: u64,
 }
 
-/// How rotations are fitted in the frames of an animation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum AnimationRefinement {
-    /// The first frame is fitted 32 times, every other one goes on from what the frame before came to. Blocks but the first go on
-    /// from a frame some way before their own, which is fitted 4 times.
-    Carried,
-    /// So many times in every frame, each from the blend of the handles' rotations. 0: the paper's two passes.
-    Steps(u32),
-}
-
-/// How an animation is solved.
-#[derive(Debug, Clone, PartialEq)]
-pub struct AnimationSettings {
-    /// Relative residual to reach, when asked for.
-    pub tolerance: Option<f64>,
-    /// Largest missing displacement as a fraction of the diagonal, when asked for.
-    pub max_error: Option<f64>,
-    /// How rotations are fitted.
-    pub refinement: AnimationRefinement,
-}
-
-impl Default for AnimationSettings {
-    fn default() -> Self {
-        Self {
-            tolerance: Some(1e-3),
-            max_error: Some(1e-3),
-            refinement: AnimationRefinement::Carried,
-        }
-    }
-}
+/// How exactly frames are solved unless asked otherwise. Without [`Quality::refine`] the first frame is fitted 32 times, every other
+/// one goes on from what the frame before came to, and blocks but the first go on from a frame some way before their own, which is
+/// fitted 4 times. Else each frame is fitted so often, from the blend of the handles' rotations. Smoothing has no part in it.
+pub const ANIMATION_QUALITY: Quality = Quality {
+    tolerance: Some(1e-3),
+    max_error: Some(1e-3),
+    refine: None,
+    smoothing: 0.0,
+};
 
 /// When the frames of an animation are, in seconds of its clip.
 ///
@@ -172,7 +151,7 @@ pub struct Animation {
     pub(super) driver: RigDriver,
     pub(super) handles: Vec<RigHandle>,
     pub(super) times: FrameTimes,
-    pub(super) settings: AnimationSettings,
+    pub(super) quality: Quality,
     pub(super) beside: Option<SceneMotion>,
     pub(super) range: Range<usize>,
     pub(super) clip_name: String,
@@ -199,7 +178,7 @@ impl Deformer {
         rig: MotionRig,
         driver: RigDriver,
         times: FrameTimes,
-        settings: &AnimationSettings,
+        quality: &Quality,
         exec: &Exec<'_>,
     ) -> Result<Animation, Error> {
         let body = self.body();
@@ -231,7 +210,7 @@ impl Deformer {
             driver,
             handles,
             times,
-            settings: settings.clone(),
+            quality: *quality,
             beside: None,
             range: 0..times.count,
             clip_name: String::new(),

@@ -14,18 +14,14 @@
 //! handles, hence M_i = Σ_k u_k(i) R_k, without a solve. M is not a rotation: half-way through a turn by θ it shrinks
 //! to cos(θ/2) across the axis. The nearest rotation replaces it.
 
-use crate::body::DeformableBody;
-use crate::error::Error;
-use crate::first_pass::blend::{LocalRotation, PoseBlend, pack_rotation};
-use crate::handles::ownership::UNHELD;
-use crate::handles::system::{ConstrainedSystem, HandleSystem};
-use crate::rotation::fade;
 use glam::{DQuat, DVec4};
+use pliant_deform::{
+    DeformableBody, Error, HandleSystem, LocalRotation, PoseBlend, Transform, UNHELD, fade, pack_rotation,
+};
 use pliant_exec::Exec;
 use pliant_exec::pool::Pool;
 use pliant_mesh::rotation::fit_rotation;
 use pliant_solver::{Constraints, InitialGuess, SolveControl, SolveOptions, Workspace};
-use rayon::prelude::*;
 use std::f64::consts::{PI, TAU};
 
 /// Most steps; each brings the error down to about (θ / 2π)² of what it was for turns by θ.
@@ -42,57 +38,63 @@ const LONGEST: f64 = 0.5;
 /// Up to the first angle between handles the steady state is taken whole, from the second on not at all.
 const WINDS: [f64; 2] = [1.5 * PI, TAU];
 
-/// The rotations of all nodes.
-pub(crate) fn diffuse(
+/// The rotations of all nodes by orientation diffusion; `None` where nothing is turned.
+///
+/// # Errors
+/// [`Error::Solver`], [`Error::Cancelled`].
+pub fn diffuse(
     body: &DeformableBody,
-    rig: &HandleSystem,
-    blend: &PoseBlend<'_>,
+    handles: &HandleSystem,
+    transforms: &[Transform],
     exec: &Exec<'_>,
-) -> Result<Vec<LocalRotation>, Error> {
+) -> Result<Option<Vec<LocalRotation>>, Error> {
+    exec.progress.begin_pass("blend");
+    let blend = &PoseBlend::new(body, handles, transforms, None);
+    if blend.is_unturned() {
+        return Ok(None);
+    }
     let nodes = body.nodes();
-    let begun: Vec<DVec4> = each(exec.pool, nodes, |i| {
-        blend.rotation(i).unwrap_or(DQuat::IDENTITY).into()
-    });
+    let begun: Vec<DVec4> = exec
+        .pool
+        .map(nodes, 1024, |i| blend.rotation(i).unwrap_or(DQuat::IDENTITY).into());
     // Beyond a full turn there is a shorter way round the sphere, and descent would find it.
     let kept = fade(blend.reach(), WINDS);
     if kept == 1.0 {
-        return Ok(each(exec.pool, nodes, |i| pack_rotation(DQuat::from_vec4(begun[i]))));
+        return Ok(Some(
+            exec.pool
+                .map(nodes, 1024, |i| pack_rotation(DQuat::from_vec4(begun[i]))),
+        ));
     }
     let mut q = begun.clone();
-    relax(body, rig, blend, &mut q, exec)?;
-    Ok(each(exec.pool, nodes, |i| {
+    relax(body, handles, blend, &mut q, exec)?;
+    Ok(Some(exec.pool.map(nodes, 1024, |i| {
         let between = begun[i] * kept + q[i] * (1.0 - kept);
         pack_rotation(DQuat::from_vec4(between.try_normalize().unwrap_or(begun[i])))
-    }))
-}
-
-fn each<T: Send>(pool: &Pool, nodes: usize, value: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
-    pool.install(|| (0..nodes).into_par_iter().with_min_len(1024).map(value).collect())
+    })))
 }
 
 fn relax(
     body: &DeformableBody,
-    rig: &HandleSystem,
+    handles: &HandleSystem,
     blend: &PoseBlend<'_>,
     q: &mut Vec<DVec4>,
     exec: &Exec<'_>,
 ) -> Result<(), Error> {
     let nodes = body.nodes();
-    let diffusion = OrientationDiffusion::new(body, rig, blend);
+    let diffusion = OrientationDiffusion::new(body, handles, blend);
     let own;
-    let same = rig.rotation.hard == rig.position.hard && rig.rotation.soft == rig.position.soft;
-    let system = match same {
-        true => &rig.positions.system,
+    let (rotation, position) = (handles.rotation_owners(), handles.position_owners());
+    let system = match rotation.hard == position.hard && rotation.soft == position.soft {
+        true => handles.position_system(),
         false => {
             let fixed: Vec<bool> = (0..nodes).map(|i| !diffusion.is_open(i)).collect();
-            let stiffness = rig.rotation.stiffness();
+            let stiffness = rotation.stiffness();
             let constraints = Constraints {
                 fixed: &fixed,
                 stiffness: stiffness.as_deref(),
             };
-            let system = body.hierarchy.constrain(&constraints, exec.pool)?;
-            own = ConstrainedSystem { fixed, system };
-            &own.system
+            own = body.hierarchy.constrain(&constraints, exec.pool)?;
+            &own
         }
     };
     let options = SolveOptions {
@@ -108,7 +110,10 @@ fn relax(
     let mut energy = diffusion.energy(q, exec.pool);
     for _ in 0..STEPS {
         exec.check()?;
-        let rhs: Vec<f64> = each(exec.pool, nodes, |i| diffusion.residual(i, q).to_array()).into_flattened();
+        let rhs: Vec<f64> = exec
+            .pool
+            .map(nodes, 1024, |i| diffusion.residual(i, q).to_array())
+            .into_flattened();
         let mut step = vec![0.0; nodes * 4];
         system
             .equations(&body.hierarchy, 4, &rhs)
@@ -116,7 +121,7 @@ fn relax(
                 SolveControl::Continue
             })?;
         let step: &[[f64; 4]] = step.as_chunks().0;
-        let next = each(exec.pool, nodes, |i| match diffusion.is_open(i) {
+        let next = exec.pool.map(nodes, 1024, |i| match diffusion.is_open(i) {
             true => (q[i] + DVec4::from_array(step[i]).clamp_length_max(LONGEST)).normalize(),
             false => q[i],
         });
@@ -139,21 +144,10 @@ fn relax(
     Ok(())
 }
 
-/// Where each node's pulls begin in a list that is sorted by node; empty without any.
-fn offsets(soft: &[(u32, u32, f64)], nodes: usize) -> Vec<u32> {
-    if soft.is_empty() {
-        return Vec::new();
-    }
-    let mut offsets = vec![0; nodes + 1];
-    soft.iter().for_each(|s| offsets[s.0 as usize + 1] += 1);
-    (0..nodes).for_each(|i| offsets[i + 1] += offsets[i]);
-    offsets
-}
-
 /// What quaternions are pulled to: their neighbours', and those of soft handles.
 struct OrientationDiffusion<'a> {
     body: &'a DeformableBody,
-    rig: &'a HandleSystem,
+    handles: &'a HandleSystem,
     blend: &'a PoseBlend<'a>,
     /// Where each node's soft pulls begin in the list; empty without any.
     soft: Vec<u32>,
@@ -162,13 +156,13 @@ struct OrientationDiffusion<'a> {
 }
 
 impl<'a> OrientationDiffusion<'a> {
-    fn new(body: &'a DeformableBody, rig: &'a HandleSystem, blend: &'a PoseBlend<'a>) -> Self {
+    fn new(body: &'a DeformableBody, handles: &'a HandleSystem, blend: &'a PoseBlend<'a>) -> Self {
         Self {
             body,
-            rig,
+            handles,
             blend,
-            soft: offsets(&rig.rotation.soft, body.nodes()),
-            held: (0..=rig.handle_count())
+            soft: handles.rotation_owners().first_pulls(),
+            held: (0..=handles.handle_count())
                 .map(|k| blend.held_rotation(k).into())
                 .collect(),
         }
@@ -176,7 +170,7 @@ impl<'a> OrientationDiffusion<'a> {
 
     /// Whether a node's rotation is open: some handle has a say in it, and none decides it.
     fn is_open(&self, node: usize) -> bool {
-        self.rig.rotation.hard[node] == UNHELD && self.blend.is_covered(node)
+        self.handles.rotation_owners().hard[node] == UNHELD && self.blend.is_covered(node)
     }
 
     /// Soft pulls on a node: (stiffness, quaternion).
@@ -185,7 +179,7 @@ impl<'a> OrientationDiffusion<'a> {
             true => 0..0,
             false => self.soft[node] as usize..self.soft[node + 1] as usize,
         };
-        self.rig.rotation.soft[range]
+        self.handles.rotation_owners().soft[range]
             .iter()
             .map(|&(_, k, stiffness)| (stiffness, self.held[k as usize]))
     }
@@ -218,23 +212,20 @@ impl<'a> OrientationDiffusion<'a> {
             }
         };
         let nodes = self.body.nodes();
-        let blocks: Vec<f64> = pool.install(|| {
-            (0..nodes.div_ceil(BLOCK))
-                .into_par_iter()
-                .map(|b| (b * BLOCK..nodes.min((b + 1) * BLOCK)).map(of_node).sum())
-                .collect()
-        });
+        let of_block = |b: usize| (b * BLOCK..nodes.min((b + 1) * BLOCK)).map(of_node).sum();
+        let blocks: Vec<f64> = pool.map(nodes.div_ceil(BLOCK), 1, of_block);
         0.5 * blocks.iter().sum::<f64>()
     }
 }
 
-/// The rotations of all nodes.
-pub(crate) fn linear_frames(blend: &PoseBlend<'_>, nodes: usize, pool: &Pool) -> Vec<LocalRotation> {
-    pool.install(|| {
-        (0..nodes)
-            .into_par_iter()
-            .with_min_len(1024)
-            .map(|i| pack_rotation(blend.matrix(i).map_or(DQuat::IDENTITY, fit_rotation)))
-            .collect()
-    })
+/// The rotations of all nodes by linear frames; `None` where nothing is turned.
+pub fn linear_frames(
+    body: &DeformableBody,
+    handles: &HandleSystem,
+    transforms: &[Transform],
+    pool: &Pool,
+) -> Option<Vec<LocalRotation>> {
+    let blend = PoseBlend::new(body, handles, transforms, None);
+    let rotation = |i| pack_rotation(blend.matrix(i).map_or(DQuat::IDENTITY, fit_rotation));
+    (!blend.is_unturned()).then(|| pool.map(body.nodes(), 1024, rotation))
 }

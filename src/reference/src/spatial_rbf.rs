@@ -7,14 +7,10 @@
 //! matters in which no linear function is seen; there it is positive definite. Vertices that are held hard are put where
 //! they belong afterwards, and how far the interpolant misses them is reported.
 
-use crate::body::DeformableBody;
-use crate::error::Error;
-use crate::handles::free_parts::FreePartPolicy;
-use crate::handles::ownership::UNHELD;
-use crate::handles::system::HandleSystem;
-use crate::rotation::Transform;
-use crate::second_pass::state::{PoseMethod, PoseSolution, SolveState};
 use glam::DVec3;
+use pliant_deform::{
+    DeformableBody, Error, FreePartPolicy, HandleSystem, PoseStats, SolveState, SolvedNodes, Transform, UNHELD,
+};
 use pliant_exec::Exec;
 use pliant_exec::pool::Pool;
 use pliant_solver::CholeskyFactor;
@@ -36,15 +32,15 @@ const SOFTNESS: f64 = 1e-3;
 /// A centre: the node and what holds it.
 #[derive(Debug, Clone)]
 struct RbfCentre {
-    pub(crate) node: u32,
+    node: u32,
     /// (hold, weight), weights summing to 1.
-    pub(crate) pulls: Vec<(u32, f64)>,
+    pulls: Vec<(u32, f64)>,
 }
 
 /// Everything about the interpolation that does not change with the pose.
 #[derive(Debug, Clone, Default)]
 struct RbfSpace {
-    pub(crate) centres: Vec<RbfCentre>,
+    centres: Vec<RbfCentre>,
     places: Vec<DVec3>,
     linear: LinearFunctions,
     /// Householder vectors that turn the linear functions onto the first unknowns.
@@ -106,8 +102,8 @@ fn farthest(vectors: impl Iterator<Item = DVec3>) -> Option<DVec3> {
 
 impl RbfSpace {
     /// Chooses centres and factors.
-    pub(crate) fn new(body: &DeformableBody, rig: &HandleSystem, exec: &Exec<'_>) -> Result<Self, Error> {
-        let (centres, softness) = centres(body, rig, exec)?;
+    fn new(body: &DeformableBody, handles: &HandleSystem, exec: &Exec<'_>) -> Result<Self, Error> {
+        let (centres, softness) = centres(body, handles, exec)?;
         let places: Vec<DVec3> = centres.iter().map(|c| at_rest(body, c.node as usize)).collect();
         let linear = LinearFunctions::of(&places);
         let (m, r) = (places.len(), linear.axes.len() + 1);
@@ -163,7 +159,7 @@ impl RbfSpace {
     }
 
     /// The displacement that takes every centre by `wanted`.
-    pub(crate) fn interpolate(&self, wanted: &[DVec3]) -> RbfDisplacement<'_> {
+    fn interpolate(&self, wanted: &[DVec3]) -> RbfDisplacement<'_> {
         let (m, r) = (self.places.len(), self.linear.axes.len() + 1);
         let head = r.min(m);
         let mut y: Vec<[f64; 3]> = wanted.iter().map(DVec3::to_array).collect();
@@ -209,7 +205,7 @@ struct RbfDisplacement<'a> {
 const BUNDLE: usize = 4;
 
 impl RbfDisplacement<'_> {
-    pub(crate) fn at(&self, points: &[DVec3; BUNDLE]) -> [DVec3; BUNDLE] {
+    fn at(&self, points: &[DVec3; BUNDLE]) -> [DVec3; BUNDLE] {
         let [x, y, z] = [0, 1, 2].map(|axis| points.map(|p| p[axis]));
         let mut sums = [[0.0; BUNDLE]; 3];
         for (centre, w) in self.space.places.iter().zip(&self.weights) {
@@ -232,7 +228,7 @@ impl RbfDisplacement<'_> {
     }
 }
 
-pub(crate) fn at_rest(body: &DeformableBody, node: usize) -> DVec3 {
+fn at_rest(body: &DeformableBody, node: usize) -> DVec3 {
     body.rest(node)
 }
 
@@ -242,8 +238,12 @@ fn kernel(d: DVec3) -> f64 {
 }
 
 /// The centres, and by centre what softness adds to the diagonal.
-fn centres(body: &DeformableBody, rig: &HandleSystem, exec: &Exec<'_>) -> Result<(Vec<RbfCentre>, Vec<f64>), Error> {
-    let owners = &rig.position;
+fn centres(
+    body: &DeformableBody,
+    handles: &HandleSystem,
+    exec: &Exec<'_>,
+) -> Result<(Vec<RbfCentre>, Vec<f64>), Error> {
+    let owners = handles.position_owners();
     let mut candidates: Vec<u32> = (0u32..)
         .zip(&owners.hard[..body.graph.surface])
         .filter(|(_, k)| **k != UNHELD)
@@ -358,20 +358,20 @@ impl SpatialRbf {
     /// [`Error::Solver`], [`Error::Cancelled`].
     pub fn solve(
         &mut self,
-        rig: &HandleSystem,
+        handles: &HandleSystem,
         body: &DeformableBody,
         transforms: &[Transform],
         state: &mut SolveState,
         exec: &Exec<'_>,
-    ) -> Result<PoseSolution, Error> {
+    ) -> Result<SolvedNodes, Error> {
         if transforms.iter().all(Transform::is_identity) {
-            return Ok(PoseSolution::at_rest(body));
+            return Ok(SolvedNodes::at_rest(body));
         }
         // The graph's solves start afresh after this one.
         state.forget();
         let space = match self.space.take() {
             Some(space) => space,
-            None => Box::new(RbfSpace::new(body, rig, exec)?),
+            None => Box::new(RbfSpace::new(body, handles, exec)?),
         };
         let space: &RbfSpace = self.space.insert(space);
         let maps: Vec<_> = transforms.iter().map(Transform::map).collect();
@@ -401,8 +401,9 @@ impl SpatialRbf {
             moves.extend(piece.into_flattened().into_iter().take(to - from));
         }
         let (mut missed, mut farthest) = (0.0f64, 0.0f64);
-        for i in (0..body.graph.surface).filter(|&i| rig.position.hard[i] != UNHELD) {
-            let wanted = wanted(i, rig.position.hard[i]);
+        let owners = handles.position_owners();
+        for i in (0..body.graph.surface).filter(|&i| owners.hard[i] != UNHELD) {
+            let wanted = wanted(i, owners.hard[i]);
             missed = missed.max(wanted.distance(moves[i]));
             farthest = farthest.max(wanted.length());
         }
@@ -411,12 +412,11 @@ impl SpatialRbf {
             .enumerate()
             .flat_map(|(i, d)| (at_rest(body, i) + *d).to_array())
             .collect();
-        rig.make_regions_rigid(body, transforms, &mut [], &mut x);
-        let stays = |i: usize| {
-            rig.setup.policy == FreePartPolicy::Hold && rig.positions.fixed[i] && rig.position.hard[i] == UNHELD
-        };
+        handles.make_regions_rigid(body, transforms, &mut [], &mut x);
+        let stays =
+            |i: usize| handles.setup().policy == FreePartPolicy::Hold && handles.given()[i] && owners.hard[i] == UNHELD;
         let positions: Vec<DVec3> = (0..body.nodes())
-            .map(|i| match rig.position.hard[i] {
+            .map(|i| match owners.hard[i] {
                 UNHELD if stays(i) => body.graph.positions[i],
                 UNHELD => body.model_from_solving(DVec3::from_slice(&x[3 * i..3 * i + 3])),
                 k => maps
@@ -427,13 +427,16 @@ impl SpatialRbf {
         if let Some(node) = positions.iter().position(|p| !p.is_finite()) {
             return Err(Error::Solver(format!("node {node} left the range of numbers")));
         }
-        Ok(PoseSolution {
+        Ok(SolvedNodes {
             positions,
-            iterations: 1,
-            residual: missed / farthest.max(f64::MIN_POSITIVE),
-            max_error: missed * body.unit / body.diagonal,
-            method: PoseMethod::SpatialRbf,
-            ..PoseSolution::at_rest(body)
+            frames: Vec::new(),
+            stats: PoseStats {
+                cycles: 1,
+                refined: 0,
+                residual: missed / farthest.max(f64::MIN_POSITIVE),
+                max_error: missed * body.unit() / body.diagonal,
+                solver: "spatial-rbf",
+            },
         })
     }
 }

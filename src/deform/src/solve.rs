@@ -1,15 +1,17 @@
-//! A pose from transforms to positions: both passes in turn, and the second pass itself (paper section 2.2, equations 8 and 11).
+//! [`HandleSystem::solve`]: a pose from transforms to positions, both passes in turn, and the second pass itself (paper section 2.2,
+//! equations 8 and 11).
 
 use crate::body::DeformableBody;
 use crate::error::Error;
 use crate::first_pass::blend::LocalRotation;
 use crate::first_pass::spread::{FirstRotations, blend_frames_with};
 use crate::handles::system::{ConstrainedSystem, HandleSystem};
+use crate::pose::{FitOrder, PoseRequest, PoseStats, SolveStart, SolveUpdate, SolvedNodes};
 use crate::rotation::Transform;
 use crate::second_pass::equations::{PosedHandles, Precision};
-use crate::second_pass::refine::{Refinement, RotationFit};
+use crate::second_pass::refine::RotationFit;
 use crate::second_pass::single_precision::frames_of;
-use crate::second_pass::state::{PoseMethod, PoseRequest, PoseSolution, SolveStart, SolveState, SolveUpdate};
+use crate::second_pass::state::SolveState;
 use glam::{DMat3, DVec3};
 use pliant_exec::Exec;
 use pliant_exec::pool::Pool;
@@ -36,13 +38,13 @@ impl HandleSystem {
         state: &mut SolveState,
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
-    ) -> Result<PoseSolution, Error> {
+    ) -> Result<SolvedNodes, Error> {
         let moved_parts = self.moved_parts(body, request.transforms);
         if !moved_parts.contains(&true) {
-            return Ok(PoseSolution::at_rest(body));
+            return Ok(SolvedNodes::at_rest(body));
         }
         let pose = PoseSolve {
-            rig: self,
+            handles: self,
             body,
             request,
             moved_parts: &moved_parts,
@@ -64,7 +66,7 @@ impl HandleSystem {
             SolveStart::Fresh => state.rows.let_go(),
         }
         exec.progress.begin_pass("blend");
-        let first = FirstRotations::of(body, self, request.transforms, request.first_pass, exec)?;
+        let first = FirstRotations::of(body, self, request, exec.pool);
         let frames = match first.instead.as_deref() {
             Some(turns) if first.is_animation && !has_scales(request.transforms) => frames_of(turns, exec.pool),
             instead => blend_frames_with(body, self, request.transforms, instead, exec.pool),
@@ -80,7 +82,7 @@ impl HandleSystem {
             // A solution that was interrupted is not a start for the next one.
             state.forget();
         }
-        result.map(|solution| PoseSolution {
+        result.map(|solution| SolvedNodes {
             frames: posed.frames,
             ..solution
         })
@@ -88,8 +90,8 @@ impl HandleSystem {
 }
 
 /// One pose under way.
-pub(super) struct PoseSolve<'a> {
-    pub rig: &'a HandleSystem,
+pub(crate) struct PoseSolve<'a> {
+    pub handles: &'a HandleSystem,
     pub body: &'a DeformableBody,
     pub request: &'a PoseRequest<'a>,
     /// By component: whether any handle that moved has a say in it.
@@ -98,7 +100,7 @@ pub(super) struct PoseSolve<'a> {
 }
 
 /// What the solves of one pose came to so far, and who watches them.
-pub(super) struct SolveTally<'a> {
+pub(crate) struct SolveTally<'a> {
     pub iterations: usize,
     pub refined: u32,
     /// What is solved around, in solving coordinates.
@@ -112,35 +114,25 @@ impl PoseSolve<'_> {
     /// Solves for positions, and fits rotations as often as asked for. Leaves `posed.frames` as last solved with.
     fn solve(
         &self,
-        first: &FirstRotations,
+        first: &FirstRotations<'_>,
         posed: &mut PosedHandles,
         state: &mut SolveState,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
-    ) -> Result<PoseSolution, Error> {
-        let (rig, body, request, pool) = (self.rig, self.body, self.request, self.exec.pool);
-        let steps = request.refinement.steps;
+    ) -> Result<SolvedNodes, Error> {
+        let (handles, body, request, pool) = (self.handles, self.body, self.request, self.exec.pool);
         let warm = request.start == SolveStart::Warm;
         if warm {
             state.begin(body, request.transforms.len());
             let (from, to) = (&state.transforms, request.transforms);
             match first.is_animation {
-                true => rig.carry_by_shares(body, from, to, &mut state.x, pool),
-                false => rig.carry(body, from, to, &mut state.x, pool),
+                true => handles.carry_by_shares(body, from, to, &mut state.x, pool),
+                false => handles.carry(body, from, to, &mut state.x, pool),
             }
         }
         state.transforms.clear();
         state.transforms.extend_from_slice(request.transforms);
-        prepare(body, rig, posed, warm, state, pool);
-        let fit = (steps > 0).then(|| {
-            RotationFit::new(
-                body,
-                rig,
-                request.transforms,
-                self.moved_parts,
-                first,
-                request.refinement,
-            )
-        });
+        prepare(body, handles, posed, warm, state, pool);
+        let fit = (request.steps() > 0).then(|| RotationFit::new(body, handles, request, self.moved_parts, first));
         let mut tally = SolveTally {
             iterations: 0,
             refined: 0,
@@ -154,14 +146,14 @@ impl PoseSolve<'_> {
             Some(Err(Error::Solver(_))) => {
                 // Poses beyond the range of single precision.
                 state.forget();
-                prepare(body, rig, posed, warm, state, pool);
+                prepare(body, handles, posed, warm, state, pool);
                 self.fit_in_turn(fit.as_ref(), posed, state, &mut tally)?
             }
             Some(solved) => solved?,
             None => self.fit_in_turn(fit.as_ref(), posed, state, &mut tally)?,
         };
-        if let Some(rigid) = &rig.rigid {
-            rig.make_regions_rigid(body, request.transforms, &mut posed.frames, &mut state.x);
+        if let Some(rigid) = &handles.rigid {
+            handles.make_regions_rigid(body, request.transforms, &mut posed.frames, &mut state.x);
             self.assemble(posed, state);
             let start = pliant_solver::InitialGuess::Given;
             stats = self.run(rigid, start, 0.0, state, &mut tally)?;
@@ -178,14 +170,10 @@ impl PoseSolve<'_> {
             let rows = state.x.as_chunks_mut::<3>().0.par_iter_mut().with_min_len(4096);
             rows.for_each(|row| row.iter_mut().zip(center).for_each(|(v, c)| *v += c));
         });
-        Ok(PoseSolution {
+        Ok(SolvedNodes {
             positions,
             frames: Vec::new(),
-            refined: tally.refined,
-            iterations: tally.iterations,
-            residual: stats.residual,
-            max_error: stats.max_error * body.unit / body.diagonal,
-            method: PoseMethod::Graph(stats.method),
+            stats: self.stats(&stats, tally.iterations, tally.refined),
         })
     }
 
@@ -197,8 +185,8 @@ impl PoseSolve<'_> {
         state: &mut SolveState,
         tally: &mut SolveTally<'_>,
     ) -> Result<pliant_solver::SolveStats, Error> {
-        let (rig, body, request, pool) = (self.rig, self.body, self.request, self.exec.pool);
-        let Refinement { steps, carried, .. } = request.refinement;
+        let (handles, body, request, pool) = (self.handles, self.body, self.request, self.exec.pool);
+        let (steps, carried) = (request.steps(), request.fits == FitOrder::Carried);
         let warm = request.start == SolveStart::Warm;
         let mut turns = match fit {
             Some(fit) if warm && state.extra.len() == body.nodes() => {
@@ -218,9 +206,9 @@ impl PoseSolve<'_> {
                 rest: rest.as_deref(),
             },
         };
-        let between = request.tolerance.map_or(BETWEEN_FITS, |t| t.min(BETWEEN_FITS));
+        let between = request.quality.tolerance.map_or(BETWEEN_FITS, |t| t.min(BETWEEN_FITS));
         let rough = if steps > 0 { between } else { 0.0 };
-        let mut stats = self.run(&rig.positions, first, rough, state, tally)?;
+        let mut stats = self.run(&handles.positions, first, rough, state, tally)?;
         let Some(fit) = fit else {
             state.extra.clear();
             return Ok(stats);
@@ -233,19 +221,30 @@ impl PoseSolve<'_> {
             tally.refined += 1;
             let rough = if tally.refined < steps { between } else { 0.0 };
             let start = pliant_solver::InitialGuess::Given;
-            stats = self.run(&rig.positions, start, rough, state, tally)?;
+            stats = self.run(&handles.positions, start, rough, state, tally)?;
         }
         state.extra = fit.extra(&turns, pool);
         Ok(stats)
     }
 
     /// When a solve to what the request asks for stops, in solving coordinates.
-    pub(super) fn criteria(&self) -> StoppingCriteria {
+    pub(crate) fn criteria(&self) -> StoppingCriteria {
         let unit_per_diagonal = self.body.unit / self.body.diagonal;
         StoppingCriteria {
-            tolerance: self.request.tolerance,
-            max_error: self.request.max_error.map(|e| e / unit_per_diagonal),
+            tolerance: self.request.quality.tolerance,
+            max_error: self.request.quality.max_error.map(|e| e / unit_per_diagonal),
             max_iterations: MOST_ITERATIONS,
+        }
+    }
+
+    /// What `last`, the last solve after so many iterations and fits, came to.
+    pub(crate) fn stats(&self, last: &pliant_solver::SolveStats, iterations: usize, refined: u32) -> PoseStats {
+        PoseStats {
+            cycles: u32::try_from(iterations).unwrap_or(u32::MAX),
+            refined,
+            residual: last.residual,
+            max_error: last.max_error * self.body.unit / self.body.diagonal,
+            solver: last.method.name(),
         }
     }
 
@@ -254,7 +253,7 @@ impl PoseSolve<'_> {
         self.exec.progress.begin_pass("equations");
         let transforms = self.request.transforms;
         state.rhs.resize(3 * self.body.nodes(), 0.0);
-        (self.rig).assemble(self.body, posed, transforms, &mut state.rhs, self.exec.pool);
+        (self.handles).assemble(self.body, posed, transforms, &mut state.rhs, self.exec.pool);
     }
 
     /// Solves the equations in `state`: to what the request asks for, or only to the error `rough`.
@@ -299,7 +298,7 @@ impl PoseSolve<'_> {
     }
 
     /// Reports an iteration after `before` others to the watcher, and notes whether to stop.
-    pub(super) fn report_cycle(
+    pub(crate) fn report_cycle(
         &self,
         done: &pliant_solver::IterationReport<'_>,
         before: usize,
@@ -323,7 +322,7 @@ impl PoseSolve<'_> {
 
     /// Model-space positions of all nodes from solving coordinates around `center`.
     fn place(&self, center: DVec3, x: &[f64]) -> Vec<DVec3> {
-        let placement = (self.rig).placement(self.body, self.moved_parts, self.request.transforms, center);
+        let placement = (self.handles).placement(self.body, self.moved_parts, self.request.transforms, center);
         placement.of_all(x, self.exec.pool)
     }
 }
@@ -344,7 +343,7 @@ fn resumed(fit: &RotationFit<'_>, carried: bool, state: &SolveState, pool: &Pool
 /// Sizes `state` and fills `state.x`, around the pose's centre: given values, and the start of a warm solve.
 fn prepare(
     body: &DeformableBody,
-    rig: &HandleSystem,
+    handles: &HandleSystem,
     posed: &PosedHandles,
     warm: bool,
     state: &mut SolveState,
@@ -358,7 +357,7 @@ fn prepare(
             .with_min_len(4096)
             .enumerate()
             .for_each(|(i, x)| {
-                let value = match rig.positions.fixed[i] || !warm {
+                let value = match handles.positions.fixed[i] || !warm {
                     true => posed.targets[i],
                     false => DVec3::from_slice(x),
                 };
