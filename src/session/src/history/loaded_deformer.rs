@@ -64,7 +64,9 @@ impl LoadedDeformer {
     /// Sets the bytes that the engine may hold after the next call.
     fn limit_memory(&mut self) {
         let room = self.room;
-        self.engine.deformer().map(|deformer| deformer.limit_memory(room));
+        if let Some(deformer) = self.engine.deformer() {
+            deformer.limit_memory(room);
+        }
     }
 
     /// What the engine says about model, solver and handles.
