@@ -177,7 +177,7 @@ class _Thread(threading.Thread):
             self.raised = error
 
     def cancel(self) -> None:
-        """A thread ends by itself, when what it waits for is cancelled."""
+        """Does nothing: a thread ends when the call that it waits for is cancelled."""
 
 
 def run(work: Any) -> Any:
