@@ -24,6 +24,7 @@ use pliant_wire::{AnimateOrder, animate_order};
 use prost::Message as _;
 use std::collections::BTreeMap;
 use std::future::Future;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio_util::task::AbortOnDropHandle;
 use tonic::{Status, Streaming};
@@ -88,6 +89,8 @@ struct OpenStream {
     state: ServerState,
     output: ResponseReceiver,
     input: ClientInput,
+    /// Kept, because dropping it ends the stream as the client's end does: what broke the client's side comes first.
+    _sender: Arc<RequestSender>,
     /// The failure with which the session ended the stream.
     failure: Option<Status>,
 }
@@ -118,10 +121,12 @@ impl OpenStream {
         if first.message.is_some() {
             input.push(&first).map_err(status)?;
         }
+        let sender = Arc::new(input);
         Ok(Self {
             state,
             output,
-            input: ClientInput::take(take_poses(inbound, input, id)),
+            input: ClientInput::take(take_poses(inbound, Arc::clone(&sender), id)),
+            _sender: sender,
             failure: None,
         })
     }
@@ -156,7 +161,11 @@ fn failure(response: &OutgoingResponse) -> Option<Status> {
     }
 }
 
-async fn take_poses(mut inbound: Streaming<pb::DeformRequest>, input: RequestSender, id: String) -> Result<(), Status> {
+async fn take_poses(
+    mut inbound: Streaming<pb::DeformRequest>,
+    input: Arc<RequestSender>,
+    id: String,
+) -> Result<(), Status> {
     while let Some(request) = inbound_message(&mut inbound).await? {
         if !request.session_id.is_empty() && request.session_id != id {
             let problem = "differs from the first message's; a stream belongs to one session";

@@ -15,9 +15,7 @@ use pliant_core::engine::{
 };
 use pliant_exec::Exec;
 use pliant_wire::frames::Frame;
-use pliant_wire::{
-    DeformOptions, SessionEdit, edit_kind_name, edit_result, pb, quality_message, session_message, warning_message,
-};
+use pliant_wire::{DeformOptions, SessionEdit, edit_result, pb, quality_message, session_message, warning_message};
 use std::sync::Arc;
 
 /// The answer to a pose: its last frame, and what is to be committed where that was asked for.
@@ -150,7 +148,7 @@ impl LoadedDeformer {
             settings,
         };
         self.load_state(state.topology.as_ref(), &state.handles, exec)?;
-        let what = format!("the edit {}", edit_kind_name(edit.edit.kind()));
+        let what = format!("the edit {}", edit.edit.kind().name());
         let outcome = self.deformer(&what)?.edit(&command, exec)?;
         self.forget_derived();
         if let Err(refused) = self.check_memory(exec) {
