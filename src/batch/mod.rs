@@ -281,7 +281,7 @@ impl<'a> BatchRun<'a> {
     /// The model as it is now.
     fn write(&self, format: Option<Format>, exec: &Exec<'_>) -> Result<WrittenFiles, Error> {
         let format = format.unwrap_or(self.deformer.model().format);
-        Ok(self.deformer.write(&self.shape.positions, format, exec)?)
+        self.deformer.write(&self.shape.positions, format, exec)
     }
 
     /// Compares the shape with the rest shape.

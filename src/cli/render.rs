@@ -14,7 +14,7 @@ use crate::render::{
     STRETCH_RANGE, ShadedSurface, SurfaceDress, UpAxis, ViewDirection, ViewSheet, draw_surface, edge_stretch,
     open_surface, vertex_displacements,
 };
-use crate::wire::{self, Error};
+use crate::wire;
 use clap::{Args, ValueEnum};
 use glam::DVec3;
 use std::collections::BTreeSet;
@@ -413,11 +413,11 @@ pub(super) fn draw_cutaway(
     let read = open_model(model)?;
     // As in an animation of the model's own clip, what no skin places has no part in it.
     let options = OpenOptions {
-        passengers: left_out_passengers(&read).map_err(|e| in_file(model, Error::from(e)))?,
+        passengers: left_out_passengers(&read).map_err(|e| in_file(model, e))?,
         ..Default::default()
     };
     let exec = Exec::new(pool, &Silent);
-    let deformer = Deformer::of_model(read, &options, &limits, &exec).map_err(|e| in_file(model, Error::from(e)))?;
+    let deformer = Deformer::of_model(read, &options, &limits, &exec).map_err(|e| in_file(model, e))?;
     let held = deformer.nodes_of_rig(&bones, &exec);
     let RigNodes { rotations, positions } = held.map_err(|e| in_file(rig, e))?;
 

@@ -150,8 +150,7 @@ struct Story<'a> {
 
 impl Story<'_> {
     fn bend(&self, deformer: &mut Deformer) -> ModelShape {
-        let solved = deformer.commit(bend(), &self.settings, &self.exec).expect("a pose");
-        solved
+        deformer.commit(bend(), &self.settings, &self.exec).expect("a pose")
     }
 
     /// Opens the bar and edits it, with handles set all the while or taken off before the edits.

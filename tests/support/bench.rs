@@ -140,7 +140,7 @@ pub fn try_solve(bench: &mut Deformer, pose: &pb::Pose, tolerance: f64, threads:
     let poses = bench.change_poses_message(&bench.initial_poses(), pose)?;
     let pool = pool(threads);
     let (exec, mode) = (Exec::new(&pool, &Silent), SolveMode::Commit);
-    Ok(bench.solve(&poses, &settings(tolerance), mode, &exec, &mut |_| true)?)
+    bench.solve(&poses, &settings(tolerance), mode, &exec, &mut |_| true)
 }
 
 pub fn solve(bench: &mut Deformer, entries: &[(&str, pb::HandlePose)], tolerance: f64) -> ModelShape {

@@ -12,10 +12,13 @@ pub fn report_skipped(what: &str, why: &str) {
 
 /// Where the data folder is, or would be.
 pub fn data_root() -> PathBuf {
-    std::env::var_os("PLIANT_DATA").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
-        PathBuf::from,
-    )
+    if let Some(named) = std::env::var_os("PLIANT_DATA") {
+        return PathBuf::from(named);
+    }
+    // A crate's tests begin in its own folder, below the repository's.
+    let own = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let root = own.ancestors().find(|folder| folder.join("Cargo.lock").exists());
+    root.unwrap_or(own).join("../shared/data")
 }
 
 /// The data folder; `None`, and a line that says so, when it is not there.

@@ -31,7 +31,7 @@ pub trait DeformerMessages {
 
 impl DeformerMessages for Deformer {
     fn set_handles_message(&mut self, request: &pb::SetHandlesRequest, exec: &Exec<'_>) -> Result<(), Error> {
-        Ok(self.set_handles(wire::handle_set(request)?, exec)?)
+        self.set_handles(wire::handle_set(request)?, exec)
     }
 
     fn change_poses_message(&self, poses: &HandlePoses, change: &pb::Pose) -> Result<HandlePoses, Error> {

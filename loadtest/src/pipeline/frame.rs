@@ -118,7 +118,7 @@ fn drag_frames(
         let (_, encode) = time_once(|| encode_positions(solved.positions));
         let is_ahead = deformer.is_worth_settling();
         let (settled, settle) = time_once(|| deformer.settle(&Exec::new(pool, &Silent)));
-        settled.map_err(wire::Error::from)?;
+        settled?;
         if seq > WARM_UP {
             run.cycles += f64::from(solved.stats.cycles) / args.frames as f64;
             (run.passes.iter_mut().zip(&PASSES)).for_each(|(all, pass)| all.push(seconds_of(&passes, pass.0)));

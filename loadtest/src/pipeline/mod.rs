@@ -68,7 +68,7 @@ impl MeasuredModel {
 /// Opens a model as a job asks for it, without its handles.
 pub(crate) fn open_for_job(files: FileSet, job: &pb::Job, exec: &Exec<'_>) -> Result<Deformer, schema::Error> {
     let options = schema::open_options(&job.create.clone().unwrap_or_default())?;
-    Ok(Deformer::open(files, &options, &DeformerLimits::default(), exec)?)
+    Deformer::open(files, &options, &DeformerLimits::default(), exec)
 }
 
 /// Sets a job's handles; returns the poses after its last step.

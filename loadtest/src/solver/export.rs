@@ -46,7 +46,7 @@ pub(crate) fn run_export(args: &ExportArgs) -> Result<(), LoadtestFailure> {
         e => LoadtestFailure::Usage(format!("{}: {e}", args.job.display())),
     };
     let (bench, poses) = open_posed(model, &job, &pool).map_err(refuse)?;
-    let transforms = bench.transforms(&poses).map_err(|e| refuse(e.into()))?;
+    let transforms = bench.transforms(&poses).map_err(refuse)?;
     let rig = bench
         .handle_system()
         .ok_or_else(|| LoadtestFailure::Usage("the job has no handles".into()))?;

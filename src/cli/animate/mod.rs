@@ -241,7 +241,7 @@ impl AnimateArgs {
             SurfaceWeights::Uniform => EdgeWeights::Uniform,
         };
         let opened = Deformer::of_model(model, &options, &limits, exec);
-        Ok(opened.map_err(Error::from)?)
+        Ok(opened?)
     }
 
     /// Reads the files that are named.

@@ -9,7 +9,7 @@ use crate::cli::input_files::read_file;
 use crate::cli::terminal::CliFailure;
 use crate::engine::AnimatedFrame;
 use crate::exec::Exec;
-use crate::wire::{Error, pb};
+use crate::wire::pb;
 use std::fs;
 use std::ops::Range;
 use std::path::PathBuf;
@@ -100,9 +100,7 @@ impl FrameTaker for NumberedFrames<'_> {
             allowed.write_file(&mark, identity.as_bytes())?;
             self.has_begun = true;
         }
-        let written = deformer
-            .write(&frame.positions, self.format, exec)
-            .map_err(Error::from)?;
+        let written = deformer.write(&frame.positions, self.format, exec)?;
         permission.write_model(&path, &written, model, files)?;
         self.kept += 1;
         Ok(())

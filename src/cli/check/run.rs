@@ -231,7 +231,7 @@ fn animate_in_process(files: FileSet, animation: &AnimationCase, pool: &Pool) ->
     let model = Model::read(files, Format::from_name(&animation.create.format), &limits.model)?;
     let deformer = Deformer::of_model(model, &wire::open_options(&animation.create)?, &limits, &exec)?;
     let prepared = Animation::prepare(&deformer, &order.request, &usual.animation_limits(), &exec);
-    let animation = prepared.map_err(|e| wire::of_rig(e.into()))?;
+    let animation = prepared.map_err(wire::of_rig)?;
     let mut cursor = animation.cursor(animation.range().clone());
     let mut found = CaseResult::default();
     while cursor.next_index().is_some() {

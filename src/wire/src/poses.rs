@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 /// [`Error::Precondition`] without handles, [`Error::Invalid`] with the field.
 pub fn change_poses(deformer: &Deformer, poses: &HandlePoses, change: &pb::Pose) -> Result<HandlePoses, Error> {
     let changes = pose_changes(change)?;
-    Ok(deformer.change_poses(poses, changes.iter().map(|(id, pose)| (id.as_str(), *pose)))?)
+    deformer.change_poses(poses, changes.iter().map(|(id, pose)| (id.as_str(), *pose)))
 }
 
 /// Reads the poses that a message names, by handle.

@@ -418,7 +418,7 @@ impl RunCall for PrepareAnimation {
                     let exec = &Exec::new(work.pool, &reporter);
                     deformer.go_to_topology(topology.as_ref(), exec)?;
                     let prepared = Animation::prepare(deformer.deformer("animating")?, &order.request, &limits, exec);
-                    let animation = prepared.map_err(|e| pliant_wire::of_rig(e.into()))?;
+                    let animation = prepared.map_err(pliant_wire::of_rig)?;
                     let is_shaded = order.output.normals || order.output.tangents;
                     let shader = is_shaded.then(|| deformer.shader());
                     Ok::<_, pliant_wire::Error>((animation, shader))
