@@ -5,8 +5,8 @@ use crate::support::shapes::{both, moved};
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
 use pliant::engine::{
-    Deformer, DeformerLimits, Falloff, FalloffCurve, Handle, HandlePose, HandleRotation, HandleScale, ModelShape,
-    OpenOptions, Plane, Quality, Region, SolveMode, SolveSettings,
+    Deformer, DeformerLimits, Falloff, FalloffCurve, Handle, HandlePose, HandleRotation, HandleScale, Method,
+    ModelShape, OpenOptions, Plane, Quality, Region, SolveMode, SolveSettings,
 };
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -176,6 +176,25 @@ fn frames_have_the_same_bits_on_any_number_of_threads() {
     };
     let one = run(1);
     assert!([2, 3, 8].into_iter().all(|threads| run(threads) == one));
+}
+
+#[test]
+fn methods_for_comparison_are_not_solved_ahead_where_nothing_turns_either() {
+    let pool = Pool::new(2).unwrap();
+    let is_solved_ahead = |method: Method| {
+        let mut dragged = deformer(Scene::Ends, &pool);
+        let settings = SolveSettings {
+            method,
+            ..SolveSettings::default()
+        };
+        (1..=8).any(|k| {
+            let shift = HandlePose::translation(DVec3::new(0.6, -0.4, 0.3) * (f64::from(k) / 8.0));
+            frame(&mut dragged, vec![("high", shift)], &settings, &pool);
+            dragged.is_worth_settling()
+        })
+    };
+    assert!(is_solved_ahead(Method::Harmonic));
+    assert!(!is_solved_ahead(Method::Diffusion) && !is_solved_ahead(Method::LinearFrames));
 }
 
 #[test]

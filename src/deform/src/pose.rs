@@ -51,8 +51,8 @@ pub enum FirstPass<'a> {
     /// Weighted sums of the quaternions of the few handles with a say at a node: little work, for animations, and blind to
     /// whole turns. What handles that constrain rotations alone do is taken whole where a solve starts from the last one.
     WeightedSum,
-    /// These, one for each node, found in another way.
-    Given(&'a [LocalRotation]),
+    /// These, one for each node, found in another way; `None` where nothing is turned.
+    Given(Option<&'a [LocalRotation]>),
 }
 
 /// Where the solver starts.

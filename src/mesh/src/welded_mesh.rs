@@ -222,8 +222,9 @@ fn used_vertices(positions: &[DVec3], triangles: &[[u32; 3]]) -> Result<Vec<bool
         Some(vertex) => Err(Error::invalid(
             format!("vertex {vertex}"),
             format!(
-                "lies at {}, each coordinate must be a finite number within ±{limit:e}",
+                "lies at {}, each coordinate must be a finite number within ±{:e}",
                 positions[vertex],
+                f32::MAX
             ),
         )),
         None => Ok(used),

@@ -199,7 +199,10 @@ impl Scene {
         };
         let request = PoseRequest {
             start,
-            first_pass: turns.as_deref().map_or(FirstPass::Harmonic, FirstPass::Given),
+            first_pass: match method {
+                Method::Harmonic => FirstPass::Harmonic,
+                _ => FirstPass::Given(turns.as_deref()),
+            },
             ..PoseRequest::new(transforms, quality)
         };
         let solved = handles.solve(body, &request, state, &exec, &mut |_| true);

@@ -84,7 +84,10 @@ impl ModelTopology {
         };
         let format = self.model.format;
         mesh.map_err(|e| {
-            let problem = e.to_string();
+            let problem = match e {
+                crate::mesh::Error::Invalid { field, problem } => format!("{field} {problem}"),
+                other => other.to_string(),
+            };
             asset::Error::NoMesh { format, problem }.into()
         })
     }

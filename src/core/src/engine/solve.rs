@@ -4,8 +4,8 @@
 //! the short forms.
 
 use crate::deform::{
-    DeformableBody, FirstPass, HandleSystem, LocalRotation, PoseRequest, Quality, SolutionExtent, SolveStart,
-    SolveUpdate, Transform, unfold_faces,
+    DeformableBody, FirstPass, HandleSystem, PoseRequest, Quality, SolutionExtent, SolveStart, SolveUpdate, Transform,
+    unfold_faces,
 };
 use crate::engine::Deformer;
 use crate::engine::deformer::CommittedShape;
@@ -110,16 +110,21 @@ impl Deformer {
                 ..*now
             })
         };
-        let mut with = |turns: Option<&[LocalRotation]>| {
-            let first_pass = turns.map_or(FirstPass::Harmonic, FirstPass::Given);
+        let mut with = |first_pass: FirstPass<'_>| {
             let request = PoseRequest { first_pass, ..request };
             handle_system.solve(body, &request, state, exec, &mut on_cycle)
         };
         // All other methods but the first are for comparison.
         let mut solved = match settings.method {
-            Method::Harmonic => with(None)?,
-            Method::Diffusion => with(diffuse(body, handle_system, &transforms, exec)?.as_deref())?,
-            Method::LinearFrames => with(linear_frames(body, handle_system, &transforms, exec.pool).as_deref())?,
+            Method::Harmonic => with(FirstPass::Harmonic)?,
+            Method::Diffusion => {
+                let turns = diffuse(body, handle_system, &transforms, exec)?;
+                with(FirstPass::Given(turns.as_deref()))?
+            }
+            Method::LinearFrames => {
+                let turns = linear_frames(body, handle_system, &transforms, exec.pool);
+                with(FirstPass::Given(turns.as_deref()))?
+            }
             Method::SpatialRbf => spatial_rbf.solve(handle_system, body, &transforms, state, exec)?,
         };
         exec.progress.begin_pass("settle");

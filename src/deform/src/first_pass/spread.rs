@@ -46,7 +46,7 @@ impl<'a> FirstRotations<'a> {
         match request.first_pass {
             FirstPass::Harmonic => Self::BLEND,
             FirstPass::Given(turns) => Self {
-                instead: Some(Cow::Borrowed(turns)),
+                instead: turns.map(Cow::Borrowed),
                 is_animation: false,
             },
             FirstPass::WeightedSum => Self {
