@@ -84,7 +84,8 @@ impl<'a> GltfDocument<'a> {
     /// Decompresses what the given accessors need.
     pub(super) fn decode_for(&self, accessors: impl IntoIterator<Item = usize>) -> Result<(), Error> {
         let accessors = accessors.into_iter().filter_map(|a| self.accessors.get(a));
-        let views: BTreeSet<usize> = accessors.flat_map(GltfAccessor::views).collect();
+        let is_compressed = |&v: &usize| self.views.get(v).is_some_and(|view| view.compression().is_some());
+        let views: BTreeSet<usize> = accessors.flat_map(GltfAccessor::views).filter(is_compressed).collect();
         views.into_iter().try_for_each(|view| self.view(view).map(drop))
     }
 
@@ -245,12 +246,12 @@ fn companion_name(uri: &str, place: &str, fault: GltfFault) -> Result<String, Er
     }
 }
 
-/// The bytes of a data URI of any media type; `None` for what is none.
+/// The bytes of a data URI of any media type, with or without white space around the base64; `None` for what is none.
 pub(super) fn embedded_bytes(uri: &str) -> Option<Vec<u8>> {
     let (kind, payload) = uri.get(5..)?.split_once(',')?;
     let is_data = uri[..5].eq_ignore_ascii_case("data:") && kind.to_ascii_lowercase().ends_with(";base64");
     let payload: Vec<u8> = percent_decode_str(payload).collect();
-    is_data.then(|| BASE64.decode(&payload).ok()).flatten()
+    is_data.then(|| BASE64.decode(payload.trim_ascii()).ok()).flatten()
 }
 
 /// What a URI that is not embedded data names.

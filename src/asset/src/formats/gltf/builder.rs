@@ -276,7 +276,8 @@ impl BufferBuilder {
         self.accessors.iter().map(one).collect()
     }
 
-    /// Adds the bytes of all views to those that buffer number `buffer` has; returns the views as JSON.
+    /// Adds the bytes of all views to those that buffer number `buffer` has; returns the views as JSON. `name` is what the
+    /// error calls the buffer.
     ///
     /// # Errors
     /// When that is more than a buffer holds.
@@ -284,12 +285,13 @@ impl BufferBuilder {
         &self,
         kept: &mut Vec<u8>,
         buffer: usize,
+        name: &str,
         fault: GltfFault,
     ) -> Result<Vec<String>, Error> {
         kept.resize(kept.len().next_multiple_of(4), 0);
         let length = kept.len() as u64 + self.bytes.len() as u64;
         if length > u64::from(u32::MAX) {
-            let problem = format!("buffer {buffer} would have {length} bytes, 4 GiB is the most");
+            let problem = format!("{name} would have {length} bytes, 4 GiB is the most");
             return Err(fault.unwritable(problem));
         }
         let views = self.view_texts(buffer, kept.len());

@@ -422,7 +422,9 @@ impl<'a> DracoUncompressor<'_, 'a> {
             None => Vec::new(),
         };
         let buffer = target.unwrap_or(doc.buffers.len());
-        let views = self.data.append_bytes(&mut bytes, buffer, doc.fault)?;
+        let views = self
+            .data
+            .append_bytes(&mut bytes, buffer, &format!("buffer {buffer}"), doc.fault)?;
         let mut added = Vec::new();
         for (k, text) in views.into_iter().enumerate() {
             match self.replaced.binary_search(&k) {

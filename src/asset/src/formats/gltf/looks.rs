@@ -17,24 +17,23 @@ use std::collections::{BTreeMap, BTreeSet};
 /// A material; one that is not as the standard wants it counts as none.
 #[derive(Debug, Default, Deserialize)]
 #[serde(rename_all = "camelCase", default)]
-pub(super) struct MaterialItem {
-    pub(super) name: String,
-    pub(super) pbr_metallic_roughness: Option<MetallicItem>,
-    pub(super) normal_texture: Option<TextureInfo>,
+struct MaterialItem {
+    name: String,
+    pbr_metallic_roughness: Option<MetallicItem>,
     alpha_mode: String,
     alpha_cutoff: Option<f32>,
-    pub(super) double_sided: bool,
+    double_sided: bool,
     extensions: MaterialExtensions,
 }
 
 impl MaterialItem {
     /// Reads the text of a material.
-    pub(super) fn parse(text: &str) -> Self {
+    fn parse(text: &str) -> Self {
         serde_json::from_str(text).unwrap_or_default()
     }
 
     /// What its opacity means.
-    pub(super) fn alpha(&self) -> AlphaMode {
+    fn alpha(&self) -> AlphaMode {
         match self.alpha_mode.as_str() {
             "MASK" => AlphaMode::Mask(self.alpha_cutoff.filter(|c| *c >= 0.0).unwrap_or(0.5)),
             "BLEND" => AlphaMode::Blend,
@@ -45,9 +44,9 @@ impl MaterialItem {
 
 #[derive(Debug, Default, Deserialize)]
 #[serde(rename_all = "camelCase", default)]
-pub(super) struct MetallicItem {
-    pub(super) base_color_factor: Option<[f32; 4]>,
-    pub(super) base_color_texture: Option<TextureInfo>,
+struct MetallicItem {
+    base_color_factor: Option<[f32; 4]>,
+    base_color_texture: Option<TextureInfo>,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -70,8 +69,8 @@ struct GlossyItem {
 /// How a material uses a texture.
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "camelCase")]
-pub(super) struct TextureInfo {
-    pub(super) index: WholeNumber,
+struct TextureInfo {
+    index: WholeNumber,
     tex_coord: Option<WholeNumber>,
     #[serde(default)]
     extensions: InfoExtensions,
@@ -79,7 +78,7 @@ pub(super) struct TextureInfo {
 
 impl TextureInfo {
     /// The set of texture coordinates that it names.
-    pub(super) fn set(&self) -> u64 {
+    fn set(&self) -> u64 {
         let moved = self.extensions.transform.as_ref().and_then(|t| t.tex_coord);
         moved.or(self.tex_coord).map_or(0, |n| n.0)
     }

@@ -72,7 +72,8 @@ impl<'a> PatchedDocument<'_, 'a> {
             let bounds = is_bounded.then(|| bounds(&append.values, 3));
             new.push_floats(&append.values, slot.shape(), Some(VERTICES), bounds);
         }
-        self.append(&new)
+        let buffer = self.doc.growing_buffer().unwrap_or(self.doc.buffers.len());
+        self.append(&new, &format!("buffer {buffer}"))
     }
 
     /// Points attributes at new accessors, in place or in copies of their meshes, and nodes at the copies.

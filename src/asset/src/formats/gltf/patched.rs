@@ -65,15 +65,16 @@ impl<'d, 'a> PatchedDocument<'d, 'a> {
         }
     }
 
-    /// Adds new data to the end of the first buffer that takes more, or to a new one.
-    pub(super) fn append(&mut self, new: &BufferBuilder) -> Result<(), Error> {
+    /// Adds new data to the end of the first buffer that takes more, or to a new one. `name` is what an error calls it.
+    pub(super) fn append(&mut self, new: &BufferBuilder, name: &str) -> Result<(), Error> {
         if new.is_empty() {
             return Ok(());
         }
         let doc = self.doc;
         let target = doc.growing_buffer();
         let mut bytes = target.map_or_else(Vec::new, |i| std::mem::take(self.own_bytes(i)));
-        let views = new.append_bytes(&mut bytes, target.unwrap_or(doc.buffers.len()), doc.fault)?;
+        let buffer = target.unwrap_or(doc.buffers.len());
+        let views = new.append_bytes(&mut bytes, buffer, name, doc.fault)?;
         self.edits
             .push_or_set(doc.text, "bufferViews", doc.array(&doc.views), &views);
         let accessors = new.accessor_texts(doc.views.len());

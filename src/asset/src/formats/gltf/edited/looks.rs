@@ -3,12 +3,11 @@
 use super::super::buffers::{self, RelativeName, file_extension};
 use super::super::builder::BufferBuilder;
 use super::super::document::GltfDocument;
-use super::super::looks::{MaterialItem, TextureInfo};
 use super::super::read::GltfNotes;
-use super::super::text::{index_of, list_of, quoted, string_of, value_at, with_member, without_keys};
+use super::super::text::{index_of, list_of, quoted, with_member, without_keys};
 use super::blended::{AttributeBlender, read};
 use crate::edited::{EditedModel, PrimitiveRun};
-use crate::look::{BaseLook, MaterialPicture, NamedMaterial, inside_folder};
+use crate::look::{AlphaMode, BaseLook, MaterialPicture, NamedMaterial, inside_folder};
 use crate::neutral::RunAttributes;
 use crate::{Error, FileSet};
 use bytes::Bytes;
@@ -26,7 +25,7 @@ pub(in super::super) fn run_attributes(
         return Ok(Vec::new());
     };
     let doc = notes.loaded_document(model)?;
-    let materials = read_looks(&doc, notes.files(model));
+    let materials = read_looks(&doc, notes.files(model))?;
     let mut all = Vec::with_capacity(runs.len());
     for run in runs {
         let row = &notes.rows[run.primitive as usize];
@@ -72,91 +71,103 @@ pub(in super::super) fn run_attributes(
 type LookedAt = (Arc<NamedMaterial>, usize);
 
 /// All materials of a document.
-fn read_looks(doc: &GltfDocument<'_>, files: &FileSet) -> Vec<LookedAt> {
-    let images = list_of(doc.text, "images");
-    let textures = list_of(doc.text, "textures");
+fn read_looks(doc: &GltfDocument<'_>, files: &FileSet) -> Result<Vec<LookedAt>, Error> {
+    let textures = parsed_items(doc, "textures")?;
+    let images = parsed_items(doc, "images")?;
     let mut pictures = ImageNames {
         doc,
         files,
+        images: &images,
         taken: BTreeSet::new(),
         made: vec![None; images.len()],
-        images,
     };
-    let one = |(m, text): (usize, &str)| {
-        let material = MaterialItem::parse(text);
-        let (look, set) = read_look(&material, &textures, &mut pictures);
-        let name = Some(material.name).filter(|name| !name.is_empty());
-        let name = name.unwrap_or_else(|| format!("material_{m}"));
-        (Arc::new(NamedMaterial { name, look }), set)
-    };
-    list_of(doc.text, "materials")
-        .into_iter()
-        .enumerate()
-        .map(one)
-        .collect()
+    let mut looks = Vec::new();
+    for (m, material) in parsed_items(doc, "materials")?.iter().enumerate() {
+        let name = material["name"].as_str().filter(|name| !name.is_empty());
+        let name = name.map_or_else(|| format!("material_{m}"), str::to_owned);
+        let (look, set) = read_look(material, &textures, &mut pictures);
+        looks.push((Arc::new(NamedMaterial { name, look }), set));
+    }
+    Ok(looks)
+}
+
+/// Parses the items of a section.
+fn parsed_items(doc: &GltfDocument<'_>, key: &str) -> Result<Vec<Value>, Error> {
+    let texts = list_of(doc.text, key).into_iter().enumerate();
+    texts.map(|(i, text)| parsed_item(doc, key, i, text)).collect()
+}
+
+fn parsed_item(doc: &GltfDocument<'_>, key: &str, index: usize, text: &str) -> Result<Value, Error> {
+    serde_json::from_str(text).map_err(|e| doc.fault.malformed(format!("{key}/{index}"), e.to_string()))
 }
 
 /// What a material says of its base; `None` where it says nothing that another format knows.
-fn read_look(
-    material: &MaterialItem,
-    textures: &[&str],
-    pictures: &mut ImageNames<'_, '_>,
-) -> (Option<BaseLook>, usize) {
-    let base = material.pbr_metallic_roughness.as_ref();
+fn read_look(material: &Value, textures: &[Value], pictures: &mut ImageNames<'_, '_>) -> (Option<BaseLook>, usize) {
+    let base = &material["pbrMetallicRoughness"];
     let mut look = BaseLook {
-        double_sided: material.double_sided,
-        coverage: material.alpha(),
+        double_sided: material["doubleSided"].as_bool().unwrap_or(false),
         ..BaseLook::default()
     };
-    if let Some(factor) = base.and_then(|base| base.base_color_factor) {
-        look.colour = factor.map(|value| value.clamp(0.0, 1.0));
+    for (lane, to) in look.colour.iter_mut().enumerate() {
+        if let Some(value) = base["baseColorFactor"][lane].as_f64() {
+            *to = (value as f32).clamp(0.0, 1.0);
+        }
     }
-    let texture = base.and_then(|base| base.base_color_texture.as_ref());
-    let normals = material.normal_texture.as_ref();
-    let image_of = |used: Option<&TextureInfo>| used.and_then(|used| source_of(used, textures));
-    let set_of = |used: Option<&TextureInfo>| used.map_or(0, TextureInfo::set);
-    look.picture = image_of(texture).and_then(|image| pictures.picture_of(image));
+    look.coverage = match material["alphaMode"].as_str() {
+        Some("MASK") => AlphaMode::Mask(material["alphaCutoff"].as_f64().unwrap_or(0.5) as f32),
+        Some("BLEND") => AlphaMode::Blend,
+        _ => AlphaMode::Opaque,
+    };
+    let (texture, normals) = (&base["baseColorTexture"], &material["normalTexture"]);
+    look.picture = source_of(texture, textures).and_then(|image| pictures.picture_of(image));
     let set = match look.picture {
         Some(_) => set_of(texture),
         None => set_of(normals),
     };
     // Other formats have one set of texture coordinates for both.
-    let shared = image_of(normals).filter(|_| set_of(normals) == set);
+    let shared = source_of(normals, textures).filter(|_| set_of(normals) == set);
     look.normals = shared.and_then(|image| pictures.picture_of(image));
     let says_something = look != BaseLook::default();
     (says_something.then_some(look), usize::try_from(set).unwrap_or(0))
 }
 
+/// The set of texture coordinates that the use of a texture names.
+fn set_of(used: &Value) -> u64 {
+    let moved = &used["extensions"]["KHR_texture_transform"]["texCoord"];
+    moved.as_u64().or(used["texCoord"].as_u64()).unwrap_or(0)
+}
+
 /// The image of a texture that is used: its own, else one of another kind that an extension names.
-fn source_of(used: &TextureInfo, textures: &[&str]) -> Option<usize> {
-    let texture = textures.get(used.index.index())?;
+fn source_of(used: &Value, textures: &[Value]) -> Option<usize> {
+    let number = |value: &Value| value.as_u64().and_then(|n| usize::try_from(n).ok());
+    let stored = number(&used["index"]).and_then(|t| textures.get(t))?;
     let others = [
         "EXT_texture_webp",
         "EXT_texture_avif",
         "KHR_texture_basisu",
         "MSFT_texture_dds",
     ];
-    let source = |name: &&str| index_of(value_at(texture, &["extensions", name])?, "source");
-    index_of(texture, "source").or_else(|| others.iter().find_map(source))
+    let mut other = others.iter().map(|name| &stored["extensions"][name]["source"]);
+    number(&stored["source"]).or_else(|| other.find_map(number))
 }
 
 /// The images of a document as files: by the names that they have, else by new ones.
 struct ImageNames<'i, 'a> {
     doc: &'i GltfDocument<'a>,
     files: &'i FileSet,
-    images: Vec<&'a str>,
+    images: &'i [Value],
     taken: BTreeSet<String>,
     made: Vec<Option<MaterialPicture>>,
 }
 
 impl ImageNames<'_, '_> {
     fn picture_of(&mut self, image: usize) -> Option<MaterialPicture> {
-        let stored = *self.images.get(image)?;
+        let stored = self.images.get(image)?;
         if let Some(made) = self.made.get(image)?.clone() {
             return Some(made);
         }
-        let uri = string_of(stored, "uri");
-        let made = match uri.as_deref().map(buffers::relative_name) {
+        let uri = stored["uri"].as_str();
+        let made = match uri.map(buffers::relative_name) {
             Some(RelativeName::Inside(name)) => {
                 let bytes = self.files.companions.get(&name).cloned();
                 self.taken.insert(name.clone());
@@ -164,12 +175,14 @@ impl ImageNames<'_, '_> {
             }
             _ => {
                 let bytes = match uri {
-                    Some(uri) => Bytes::from(buffers::embedded_bytes(&uri)?),
-                    None => Bytes::copy_from_slice(self.doc.view(index_of(stored, "bufferView")?).ok()?),
+                    Some(uri) => Bytes::from(buffers::embedded_bytes(uri)?),
+                    None => {
+                        let view = usize::try_from(stored["bufferView"].as_u64()?).ok()?;
+                        Bytes::copy_from_slice(self.doc.view(view).ok()?)
+                    }
                 };
-                let extension = file_extension(string_of(stored, "mimeType").as_deref(), &bytes);
-                let name = string_of(stored, "name").unwrap_or_else(|| "image".into());
-                let name = self.free_name(&name, image, extension);
+                let extension = file_extension(stored["mimeType"].as_str(), &bytes);
+                let name = self.free_name(stored["name"].as_str().unwrap_or("image"), image, extension);
                 let bytes = Some(bytes);
                 MaterialPicture { name, bytes }
             }
@@ -259,9 +272,7 @@ impl<'p> MaterialCopier<'p> {
         }
         let mut new = None;
         if let Some(text) = list_of(self.doc.text, key).get(old) {
-            let parsed = serde_json::from_str(text);
-            let parsed = parsed.map_err(|e| self.doc.fault.malformed(format!("{key}/{old}"), e.to_string()))?;
-            let item = copy(self, parsed, to)?;
+            let item = copy(self, parsed_item(self.doc, key, old, text)?, to)?;
             let joined = to.joined.sections.entry(key).or_default();
             joined.push(item);
             new = Some(list_of(to.frame.text, key).len() + joined.len() - 1);

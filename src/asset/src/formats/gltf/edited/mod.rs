@@ -142,7 +142,9 @@ impl EditedGltfWriter<'_> {
         let target = doc.growing_buffer().filter(|_| !is_packed);
         let buffer = target.unwrap_or(if is_packed { 0 } else { doc.buffers.len() });
         kept.accessors.extend(self.fresh.accessor_texts(kept.views.len()));
-        let views = self.fresh.append_bytes(&mut kept.bytes, buffer, self.fault)?;
+        let views = self
+            .fresh
+            .append_bytes(&mut kept.bytes, buffer, "a buffer", self.fault)?;
         kept.views.extend(views);
         sections.set_list("accessors", &kept.accessors);
         sections.set_list("bufferViews", &kept.views);

@@ -72,7 +72,7 @@ impl<'d, 'a> PlayedDocument<'d, 'a> {
         let mut bytes = own.map(|b| b.to_vec()).unwrap_or_default();
         let mut buffers: Vec<String> = doc.items(&doc.buffers).map(str::to_owned).collect();
         let target = if own.is_some() { 0 } else { buffers.len() };
-        let new_views = self.fresh.append_bytes(&mut bytes, target, fault)?;
+        let new_views = self.fresh.append_bytes(&mut bytes, target, "a buffer", fault)?;
         let new_accessors = self.fresh.accessor_texts(doc.views.len());
         if own.is_some() {
             buffers[0] = with_member(&buffers[0], "byteLength", bytes.len());

@@ -50,7 +50,7 @@ impl FollowedNodeTree {
         }
         writer.write_clips(self)?;
         let clips = u32::try_from(writer.clips.len()).unwrap_or(u32::MAX);
-        writer.patched.append(&writer.fresh)?;
+        writer.patched.append(&writer.fresh, "a buffer")?;
         let mut written = package(&files, writer.patched, format)?;
         written.followed.rewritten_clips = clips;
         Ok(written)

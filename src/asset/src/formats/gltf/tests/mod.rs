@@ -1,5 +1,6 @@
 //! Small documents made by hand, read and written through the module's own interface.
 
+mod looks;
 mod reading;
 mod rigs;
 mod skins;
