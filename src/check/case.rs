@@ -547,4 +547,13 @@ mod suite_json_tests {
         assert!(refused(br#"{"left": "#).starts_with("x.json: left: EOF while parsing"));
         assert!(refused(br#"{"left": 1, "right": 2} x"#).starts_with("x.json: trailing"));
     }
+
+    #[test]
+    fn a_byte_order_mark_is_named() {
+        let reported = refused(b"\xef\xbb\xbf{\"left\": 1, \"right\": 2}");
+        assert!(
+            reported.contains("byte order mark") && reported.contains("without one"),
+            "{reported}"
+        );
+    }
 }

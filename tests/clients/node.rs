@@ -4,7 +4,7 @@
 //! What this machine lacks (node, npm, a network for packages, Chromium) is said and skipped; everything else must hold.
 //! What the browser measured goes to stderr, so that a log has it also when the test passes.
 
-use crate::support::process::{is_offline, said, show};
+use crate::support::process::{is_npm_offline, said, show};
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -53,7 +53,7 @@ fn install(package: &str) -> Result<(), String> {
         return Ok(());
     }
     let reply = said(&done);
-    assert!(is_offline(&reply), "npm ci in {package} failed:\n{reply}");
+    assert!(is_npm_offline(&reply), "npm ci in {package} failed:\n{reply}");
     Err(format!("the packages of {package} cannot be fetched"))
 }
 

@@ -5,7 +5,7 @@
 
 use crate::node::lacks_node;
 use crate::support::process::needed;
-use crate::support::process::{is_offline, root, said, show};
+use crate::support::process::{is_npm_offline, root, said, show};
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -17,7 +17,7 @@ fn is_unreachable(said: &str) -> bool {
         "Temporary failure in name resolution",
         "ensurepip",
     ];
-    is_offline(said) || signs.iter().any(|sign| said.contains(sign))
+    is_npm_offline(said) || signs.iter().any(|sign| said.contains(sign))
 }
 
 /// Makes wheels and tarball; `None` where that cannot be done here.

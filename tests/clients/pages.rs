@@ -6,7 +6,7 @@
 //! environment that the page made, `text` is what the commands before it write, `…` standing for anything.
 
 use crate::support::book;
-use crate::support::process::{is_offline, root, show};
+use crate::support::process::{root, show};
 mod checkout;
 
 use checkout::{Checkout, Played};
@@ -92,7 +92,7 @@ fn play(page: &str) -> Checkout {
         if let Played::Skipped(reason) = played {
             show(&format!("SKIPPED: {page}:{}: {reason}", block.line));
             // What follows may build on it; a missing compiler stops no one else.
-            if block.word("needs").is_none() || is_offline(&reason) {
+            if block.word("needs").is_none() || checkout::is_offline(&reason) {
                 break;
             }
         }

@@ -5,7 +5,7 @@
 //! python3, a network to fetch packages) is said and skipped; everything else must hold.
 
 use crate::support::data::{data_root, report_skipped};
-use crate::support::process::{is_offline, root, said};
+use crate::support::process::{is_pip_offline, root, said};
 use crate::support::program::ServedProgram;
 use pliant::asset::{FileSet, Limits, Model};
 use std::fs;
@@ -80,7 +80,7 @@ fn prepare() -> Result<PathBuf, String> {
             continue;
         }
         let said = said(&done);
-        let missing = line.contains("-m venv") || (line.contains("/pip ") && is_offline(&said));
+        let missing = line.contains("-m venv") || (line.contains("/pip ") && is_pip_offline(&said));
         assert!(missing, "`{line}` of {PAGE} failed:\n{said}");
         return Err(format!("`{line}` needs something that this machine lacks:\n{said}"));
     }

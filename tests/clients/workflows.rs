@@ -4,7 +4,7 @@
 use crate::node::lacks_node;
 use crate::support::commands::words;
 use crate::support::process::needed;
-use crate::support::process::{is_offline, root, said, show};
+use crate::support::process::{is_npm_offline, root, said, show};
 use crate::support::program::ServedProgram;
 use serde_json::json;
 use std::fs;
@@ -48,7 +48,7 @@ pub(super) fn fetched(command: &mut Command) -> Option<()> {
         "Temporary failure",
         "ensurepip",
     ];
-    let is_unreachable = is_offline(&reply) || pip_lacks.iter().any(|sign| reply.contains(sign));
+    let is_unreachable = is_npm_offline(&reply) || pip_lacks.iter().any(|sign| reply.contains(sign));
     assert!(is_unreachable, "{command:?}: {reply}");
     show("SKIPPED: packages cannot be fetched");
     None

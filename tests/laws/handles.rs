@@ -58,6 +58,28 @@ fn a_part_without_a_handle_follows_holds_or_is_refused() {
 }
 
 #[test]
+fn outside_the_region_of_interest_no_bit_changes() {
+    let shape = bar();
+    let mut bench = bench(&shape);
+    let request = pb::SetHandlesRequest {
+        handles: vec![handle("top", above(3.75))],
+        region_of_interest: Some(above(2.0)),
+        ..Default::default()
+    };
+    set_all(&mut bench, &request);
+    let solved = solve(&mut bench, &[("top", shift(DVec3::new(1.0, 0.0, 0.3)))], 1e-5);
+    let mut moved = 0;
+    for (now, rest) in solved.positions.iter().zip(&shape.0) {
+        if rest.z < 2.0 {
+            assert_eq!(now.to_array().map(f64::to_bits), rest.to_array().map(f64::to_bits));
+        } else {
+            moved += usize::from(now != rest);
+        }
+    }
+    assert!(moved > 100);
+}
+
+#[test]
 fn a_symmetry_plane_does_what_mirrored_handles_would() {
     let shape = shapes::torus(1.0, 0.3, 48, 16);
     let front = || handle("front", half_space([0.0, -1.0, 0.0], 1.1));

@@ -226,6 +226,95 @@ fn fields_are_bounded_and_sum_to_one() {
 }
 
 #[test]
+fn turning_the_scene_turns_the_result() {
+    let scene = DQuat::from_axis_angle(DVec3::new(1.0, 2.0, -1.0).normalize(), 0.9);
+    let place = |p: DVec3| scene * p + DVec3::new(3.0, 1.0, -2.0);
+    let shape = bar();
+    let turned: Shape = (shape.0.iter().map(|p| place(*p)).collect(), shape.1.clone());
+    let list = |keep: &dyn Fn(DVec3) -> bool| {
+        let indices = (0u32..)
+            .zip(&shape.0)
+            .filter(|(_, p)| keep(**p))
+            .map(|(k, _)| k)
+            .collect();
+        region(pb::region::Region::Vertices(pb::region::Vertices {
+            indices,
+            ranges: Vec::new(),
+        }))
+    };
+    let handles = || {
+        let side = |p: DVec3| (1.5..2.5).contains(&p.z) && p.x > 0.4;
+        vec![
+            handle("base", list(&|p| p.z <= 0.25)),
+            handle("top", list(&|p| p.z >= 3.75)),
+            handle("side", list(&side)),
+        ]
+    };
+    let poses = [
+        ("top", DVec3::new(0.0, 1.2, 0.3), DVec3::new(0.8, 0.0, -0.5)),
+        ("side", DVec3::new(0.5, 0.0, 0.0), DVec3::X * 0.3),
+    ];
+    let entry = |(id, vector, by): &(&'static str, DVec3, DVec3), turn_by: DQuat, pivot: DVec3| {
+        let pose = turn(turn_by * *vector, pivot);
+        (
+            *id,
+            pb::HandlePose {
+                translation: (turn_by * *by).to_array().to_vec(),
+                ..pose
+            },
+        )
+    };
+    let pivot = DVec3::new(0.0, 0.0, 2.0);
+    let run = |shape: &Shape, q: DQuat, pivot: DVec3| {
+        // Without inside nodes, whose lattice does not turn with the scene.
+        let mut bench = bench_with(shape, &surface_alone(), &pool(1));
+        set(&mut bench, handles());
+        let entries: Vec<_> = poses.iter().map(|p| entry(p, q, pivot)).collect();
+        solve(&mut bench, &entries, 1e-8)
+    };
+    let plain = run(&shape, DQuat::IDENTITY, pivot);
+    let after = run(&turned, scene, place(pivot));
+    let expected: Vec<_> = plain.positions.iter().map(|p| place(*p)).collect();
+    let error = largest_distance(&after.positions, &expected);
+    assert!(error < 1e-4, "off by {error}");
+}
+
+#[test]
+fn the_bits_do_not_depend_on_threads_or_on_what_was_dragged_before() {
+    let mut digests = Vec::new();
+    for threads in [1, 2, 3] {
+        let mut bench = bench_with(&bar(), &pb::CreateOptions::default(), &pool(threads));
+        let request = pb::SetHandlesRequest {
+            handles: ends(),
+            ..Default::default()
+        };
+        bench
+            .set_handles_message(&request, &Exec::new(&pool(threads), &Silent))
+            .expect("the handles fit");
+        if threads == 3 {
+            let dragged = bench
+                .change_poses_message(&bench.initial_poses(), &pose(&[("top", shift(DVec3::X))]))
+                .expect("a pose");
+            bench
+                .solve(
+                    &dragged,
+                    &settings(1e-4),
+                    SolveMode::Drag,
+                    &Exec::new(&pool(3), &Silent),
+                    &mut |_| true,
+                )
+                .expect("solved");
+        }
+        let bent = pose(&[("top", turn(DVec3::new(0.0, 1.4, 0.6), DVec3::ZERO))]);
+        digests.push(digest(
+            &try_solve(&mut bench, &bent, 1e-5, threads).expect("solved").positions,
+        ));
+    }
+    assert_eq!(digests[0], digests[1]);
+    assert_eq!(digests[0], digests[2]);
+}
+
+#[test]
 fn cancelled_work_leaves_the_bench_usable() {
     use pliant::progress::CancelFlag;
     let mut bench = bent_bar();

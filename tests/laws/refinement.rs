@@ -107,6 +107,36 @@ fn a_rigid_motion_stays_a_rigid_motion() {
     }
 }
 
+#[test]
+fn turning_the_scene_turns_the_refined_result() {
+    let shape = bar();
+    let scene = DQuat::from_scaled_axis(DVec3::new(0.5, -0.8, 0.3));
+    let (by, vector) = (DVec3::new(1.0, 0.4, -0.8), DVec3::new(0.6, 0.2, -0.4));
+    let turned_shape: Shape = (shape.0.iter().map(|p| scene * *p).collect(), shape.1.clone());
+    let solve = |shape: &Shape, q: DQuat| {
+        let mut bench = bench_with(shape, &surface_alone(), &pool(2));
+        let along = q * DVec3::Z;
+        set(
+            &mut bench,
+            vec![
+                handle("base", half_space((-along).to_array(), -0.3)),
+                handle("top", half_space(along.to_array(), 3.7)),
+            ],
+        );
+        let mut moved = turn(q * vector, q * DVec3::new(0.0, 0.0, 4.0));
+        moved.translation = (q * by).to_array().to_vec();
+        refined(&mut bench, &[("top", moved)], 5)
+    };
+    let plain = solve(&shape, DQuat::IDENTITY);
+    let turned = solve(&turned_shape, scene);
+    let off = plain
+        .iter()
+        .zip(&turned)
+        .map(|(p, t)| (scene * *p).distance(*t))
+        .fold(0.0, f64::max);
+    assert!(off < 4e-5, "off by {off}");
+}
+
 /// Smoothing evens out how the bend is spread, and never turns what handles hold.
 #[test]
 fn smoothing_spreads_rotations_and_handles_keep_theirs() {

@@ -121,8 +121,8 @@ macro_rules! needed {
 }
 pub(crate) use needed;
 
-/// Whether pip or npm failed because they reached no package index.
-pub fn is_offline(said: &str) -> bool {
+/// Whether pip failed because it reached no package index.
+pub fn is_pip_offline(said: &str) -> bool {
     let signs = [
         "NewConnectionError",
         "ConnectTimeout",
@@ -130,7 +130,13 @@ pub fn is_offline(said: &str) -> bool {
         "ProxyError",
         "NameResolutionError",
         "Temporary failure",
-        "No matching distribution",
+    ];
+    signs.iter().any(|sign| said.contains(sign))
+}
+
+/// Whether npm failed because it reached no registry.
+pub fn is_npm_offline(said: &str) -> bool {
+    let signs = [
         "ENOTFOUND",
         "EAI_AGAIN",
         "ECONNREFUSED",

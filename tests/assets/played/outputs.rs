@@ -61,8 +61,17 @@ pub(super) fn farthest_of_bar(folder: &Workplace, file: &Parsed) -> f64 {
     offs_of_bar(folder, file).into_iter().fold(0.0, f64::max)
 }
 
+/// The percentage after a text in a line of what was said.
+pub(super) fn percent_after(said: &str, text: &str) -> f64 {
+    let (_, rest) = said.split_once(text).unwrap_or_else(|| panic!("no {text:?} in {said}"));
+    let (number, _) = rest.split_once(" %").expect("a percentage");
+    number.trim().parse().expect("a number")
+}
+
 /// Plays the bar's clip into bar.glb: how far the report says that the file is off bar.pc2, which is checked, and the file.
-pub(super) fn written_error(folder: &Workplace, options: &str) -> (Value, Parsed) {
+/// So is what stderr says to people: `told`, and the largest distance.
+pub(super) fn written_error(folder: &Workplace, options: &str, told: &str) -> (Value, Parsed) {
+    let said = animate_bar(folder, &format!("-o bar.glb {options} --force"));
     let mut report = run_bar(folder, &format!("-o bar.glb {options} --json --force")).json();
     let reported = report["writtenError"].take();
     let file = read_glb(&folder.join("bar.glb"));
@@ -71,6 +80,17 @@ pub(super) fn written_error(folder: &Workplace, options: &str) -> (Value, Parsed
     let rms = (squares / offs.len() as f64).sqrt();
     let worst = farthest_of_bar(folder, &file);
     let percent = |off: f64| 100.0 * off / DVec3::new(6.0, 1.0, 1.0).length();
+    assert!(said.contains(told), "{options}: {said}");
+    let (before, slack) = match options.contains("skin") {
+        true => ("(root mean square), ", 5e-3),
+        false => ("at worst a vertex is off by ", 2e-3),
+    };
+    let said = percent_after(&said, before);
+    assert!(
+        (percent(worst) - said).abs() < slack,
+        "{options}: {} is told as {said}",
+        percent(worst)
+    );
     for (seen, key, slack) in [(rms, "rmsPercent", 0.02), (worst, "maxPercent", 0.0)] {
         let said = reported[key].as_f64().unwrap_or_default();
         let apart = (percent(seen) - said).abs();
@@ -142,13 +162,13 @@ fn every_output_holds_the_same_positions() {
 fn shapes_and_bones_play_the_frames_as_nearly_as_is_reported() {
     let folder = &bar_folder();
     animate_bar(folder, "-o bar.pc2");
-    for (options, parts, most) in [
-        ("--max-targets 6", 6, 100.0),
-        ("--max-targets 8", 8, 10.0),
-        ("--as skin", 40, 100.0),
-        ("--as skin --bones 12", 12, 1.0),
+    for (options, parts, most, told) in [
+        ("--max-targets 6", 6, 100.0, "blended from 6 shapes"),
+        ("--max-targets 8", 8, 10.0, "blended from 8 shapes"),
+        ("--as skin", 40, 100.0, "40 bones play the frames"),
+        ("--as skin --bones 12", 12, 1.0, "12 bones play the frames"),
     ] {
-        let (reported, file) = written_error(folder, options);
+        let (reported, file) = written_error(folder, options, told);
         assert_eq!(reported["parts"], parts, "{options}: {reported}");
         let worst = reported["maxPercent"].as_f64().expect("a number");
         assert!(worst < most && (parts != 8 || worst > 0.01), "{options}: {reported}");

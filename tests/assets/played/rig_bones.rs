@@ -1,6 +1,6 @@
 //! Animations that leave with the bones of their rig: fitted weights, twists and correctives.
 
-use super::outputs::{farthest_of_bar, written_error};
+use super::outputs::{farthest_of_bar, percent_after, written_error};
 use super::{animate, animate_bar, bar_folder, read_glb, run_bar};
 use crate::support::commands::Workplace;
 use crate::support::khronos;
@@ -9,18 +9,11 @@ use glam::DVec3;
 use pliant::asset::sample::BuiltInModel;
 use serde_json::Value;
 
-/// The percentage after a text in a line of what was said.
-fn percent_after(said: &str, text: &str) -> f64 {
-    let (_, rest) = said.split_once(text).unwrap_or_else(|| panic!("no {text:?} in {said}"));
-    let (number, _) = rest.split_once(" %").expect("a percentage");
-    number.trim().parse().expect("a number")
-}
-
 #[test]
 fn bones_of_the_rig_play_the_frames_as_nearly_as_is_reported() {
     let folder = &bar_folder();
     animate_bar(folder, "-o bar.pc2");
-    let (_, file) = written_error(folder, "--as skin --skeleton rig");
+    let (_, file) = written_error(folder, "--as skin --skeleton rig", "bones play the frames");
     let nodes = file.json["nodes"].as_array().expect("nodes");
     let names: Vec<&str> = nodes.iter().filter_map(|n| n["name"].as_str()).collect();
     assert!(names.contains(&"low") && names.contains(&"high"), "{names:?}");
@@ -32,7 +25,7 @@ fn bones_of_the_rig_play_the_frames_as_nearly_as_is_reported() {
     let sliced = rig.replace(r#""joint": "high","#, r#""joint": "high", "slices": 3,"#);
     folder.put("rig.json", sliced);
     animate_bar(folder, "-o bar.pc2 --force");
-    let (reported, _) = written_error(folder, "--as skin --skeleton twist");
+    let (reported, _) = written_error(folder, "--as skin --skeleton twist", "5 bones play");
     assert_eq!(reported["parts"], 5, "{reported}");
     assert!(String::from_utf8_lossy(&folder.bytes("bar.glb")).contains("high twist 3"));
     khronos::assert_valid("skins of rigs", &[folder.join("bar.glb")]);

@@ -5,7 +5,7 @@
 //! take a free port, and `127.0.0.1:7411` is replaced by theirs.
 
 use super::book::{Block, is_like};
-use crate::support::process::{is_offline, root};
+use crate::support::process::{is_npm_offline, is_pip_offline, root};
 use std::fs;
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::os::unix::fs::symlink;
@@ -257,6 +257,11 @@ pub fn has(program: &str) -> bool {
     };
     let asked = command.stdout(Stdio::null()).stderr(Stdio::null()).status();
     asked.is_ok_and(|status| status.success())
+}
+
+/// Whether pip or npm failed because they reached no package index.
+pub fn is_offline(said: &str) -> bool {
+    is_pip_offline(said) || is_npm_offline(said) || said.contains("No matching distribution")
 }
 
 fn lacks_venv(shown: &str, said: &str) -> bool {

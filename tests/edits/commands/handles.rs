@@ -136,13 +136,12 @@ fn a_curve_without_a_length_is_refused() {
         let reported = refusal(&mut bench, &request, &rest);
         assert!(reported.contains("all points lie at one place"), "{reported}");
     }
-    for (points, reason) in [
-        (vec![0.5, 0.0, 0.1, 0.5, f64::NAN, 0.3], "insertCurve.points[4]: "),
-        (vec![0.25; 3 * 5000], "2 to 4096 points"),
-    ] {
-        let reported = refusal(&mut bench, &inserted(points), &rest);
-        assert!(reported.contains(reason), "{reported}");
-    }
+    let points = vec![0.5, 0.0, 0.1, 0.5, f64::NAN, 0.3];
+    let reported = refusal(&mut bench, &inserted(points), &rest);
+    assert!(reported.starts_with("insertCurve.points[4]: "), "{reported}");
+    let points = vec![0.25; 3 * 5000];
+    let reported = refusal(&mut bench, &inserted(points), &rest);
+    assert!(reported.contains("2 to 4096 points"), "{reported}");
 }
 
 #[test]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import functools
+import inspect
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from types import TracebackType
+from types import GenericAlias, TracebackType
 from typing import Any, Concatenate, ParamSpec, TypeVar, overload
 
 from typing_extensions import Self
@@ -90,4 +91,9 @@ def iterating(call: Callable[Concatenate[Any, P], AsyncIterator[T]]) -> Callable
         finally:
             run(items.aclose())  # type: ignore[attr-defined]
 
+    # The first for people, the second for who evaluates it in the module of the core.
+    hint = call.__annotations__["return"].removeprefix("Async")
+    item: Any = hint.removeprefix("Iterator[").removesuffix("]")
+    method.__signature__ = inspect.signature(call).replace(return_annotation=hint)  # type: ignore[attr-defined]
+    method.__annotations__ = {**call.__annotations__, "return": GenericAlias(Iterator, item)}
     return method

@@ -131,8 +131,6 @@ class Books:
         """The server has the handles."""
         self._unsent = False
         self.info = info
-        #: Whether close() deleted the session.
-        self.closed = False
         self._there = self._now
         self._states[info.revision] = self._now
 
@@ -174,8 +172,6 @@ class Books:
     def travelled(self, info: pb.Session, current: int) -> None:
         """The session went back or forth to the state that commit `current` left."""
         self.info = info
-        #: Whether close() deleted the session.
-        self.closed = False
         self._unsent = False
         known = self._states.get(current)
         self._foreign = known is None and len(info.handles) > 0
@@ -184,8 +180,6 @@ class Books:
     def edited(self, info: pb.Session) -> None:
         """The topology changed: handles are held by vertices that only the server knows."""
         self.info = info
-        #: Whether close() deleted the session.
-        self.closed = False
         self._foreign = len(info.handles) > 0
         self._now = self._there = _State()
 

@@ -21,6 +21,14 @@ from .channel import Settings
 
 _T = TypeVar("_T")
 
+#: Seconds between looks at whether waiting for a connection still makes sense.
+_GLANCE = 0.5
+
+
+def _until(end: float) -> float:
+    """Seconds to the next of these looks, or to `end` where that is nearer."""
+    return min(_GLANCE, max(0.0, end - time.monotonic()))
+
 
 class OnLoop:
     """Waits on the running event loop of asyncio."""
@@ -38,13 +46,16 @@ class OnLoop:
         """Closes a channel; calls under way are cancelled."""
         await line.close()
 
-    async def ready(self, line: Any, seconds: float) -> bool:
-        """Waits until a channel is connected; False when that takes longer."""
-        try:
-            await asyncio.wait_for(line.channel_ready(), seconds)
-        except asyncio.TimeoutError:
-            return False
-        return True
+    async def ready(self, line: Any, end: float, hopeless: Callable[[], bool]) -> bool:
+        """Waits until a channel is connected; False at the time `end` of the monotonic clock, or before that when it is `hopeless()`."""
+        while True:
+            try:
+                await asyncio.wait_for(line.channel_ready(), _until(end))
+            except asyncio.TimeoutError:
+                if time.monotonic() >= end or hopeless():
+                    return False
+            else:
+                return True
 
     async def one(self, method: Any, request: Any, **way: Any) -> Any:
         """The answer of a call that has one."""
@@ -83,6 +94,9 @@ class OnLoop:
                 news.changed.clear()
                 await news.changed.wait()
 
+        # With no time left asyncio would not even look.
+        if holds():
+            return True
         try:
             await asyncio.wait_for(wait(), timeout)
         except asyncio.TimeoutError:
@@ -118,15 +132,19 @@ class Blocking(OnLoop):
     async def close(self, line: Any) -> None:
         line.close()
 
-    async def ready(self, line: Any, seconds: float) -> bool:
-        # gRPC connects only while somebody waits for it, and calls that fail at once do not wait.
+    async def ready(self, line: Any, end: float, hopeless: Callable[[], bool]) -> bool:
+        # gRPC connects only while somebody waits for it, and calls that fail at once do not wait. One future for all of the time:
+        # a second one on a channel that is closed meanwhile lets gRPC's own thread fail, with a trace on stderr.
         ready = grpc.channel_ready_future(line)
-        try:
-            ready.result(timeout=seconds)
-        except grpc.FutureTimeoutError:
-            ready.cancel()
-            return False
-        return True
+        while True:
+            try:
+                ready.result(timeout=_until(end))
+            except grpc.FutureTimeoutError:
+                if time.monotonic() >= end or hopeless():
+                    ready.cancel()
+                    return False
+            else:
+                return True
 
     async def one(self, method: Any, request: Any, **way: Any) -> Any:
         return method(request, **way)

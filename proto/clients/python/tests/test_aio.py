@@ -14,6 +14,7 @@ import pliant
 import pliant.aio
 from conftest import Proxy, binary
 from pliant.frames import Assembler
+from pliant.transport import OnLoop
 from pliant.v1 import pliant_pb2 as pb
 
 POSES = [{"head": {"rotation_vector": (0, 0.8 * k / 12, 0)}} for k in range(1, 13)]
@@ -51,6 +52,16 @@ def test_a_session_from_first_to_last(server: pliant.LocalServer, creature: Path
         with pliant.open(creature, server=server) as same:
             hold(same)
             assert np.array_equal(same.solve(TURN), bent), "both halves give the same bits"
+
+    run(work())
+
+
+def test_what_is_there_needs_no_time() -> None:
+    async def work() -> None:
+        transport = OnLoop()
+        news = transport.news()
+        assert await transport.wait_for(news, lambda: True, 0)
+        assert not await transport.wait_for(news, lambda: False, 0)
 
     run(work())
 
@@ -103,6 +114,10 @@ def test_a_stream_polls_waits_commits_and_is_cancelled(server: pliant.LocalServe
                 stream.send(TURN)
                 frame = await stream.wait()
                 assert frame.final
+                stream.send(TURN)
+                while not stream._frames:
+                    await asyncio.sleep(0.01)
+                assert (await stream.receive(timeout=0)).seq == 2, "a frame that is there needs no time"
                 stream.send({"wing": {}})
                 with pytest.raises(pliant.InvalidArgument, match="wing"):
                     await stream.wait()

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import grpc
 import numpy as np
 import pytest
 
@@ -14,6 +15,7 @@ import pliant
 from conftest import Proxy, binary
 from pliant.frames import Assembler, Frame
 from pliant.options import SolveFields
+from pliant.transport import Blocking, run
 from pliant.v1 import pliant_pb2 as pb
 
 TURN = {"head": {"rotation_vector": (0, 0.8, 0)}}
@@ -214,3 +216,17 @@ def test_a_server_of_ones_own_that_dies_is_named(creature: Path) -> None:
                 stream.wait(timeout=30)
             assert time.monotonic() - start < 10, "there is nothing to wait for"
         session.close()
+
+
+@pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_connection_that_is_closed_while_it_is_waited_for_leaves_no_trace() -> None:
+    waiting = []
+    for k in range(6):
+        # Nobody listens there.
+        line = grpc.insecure_channel("127.0.0.1:1")
+        wait = Blocking().ready(line, time.monotonic() + 1.2, lambda: False)
+        waiting.append(threading.Thread(target=run, args=(wait,)))
+        waiting[-1].start()
+        threading.Timer(0.42 + 0.05 * k, line.close).start()
+    for thread in waiting:
+        thread.join()

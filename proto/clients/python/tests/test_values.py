@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import io
 import math
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 
 import pliant
 from pliant import channel, edits, model, regions
-from pliant.books import as_entries
+from pliant.books import Books, as_entries
 from pliant.declared import to_drag
 from pliant.options import create_options, options
 from pliant.poses import to_message
@@ -395,3 +396,17 @@ def test_trying_again_stops_when_patience_ends_and_never_starts_for_what_waiting
     assert channel.Attempts(0).again(lost) is None
     assert channel.Attempts(10).again(pliant.InvalidArgument("wrong")) is None
     assert channel.Attempts(10).again(pliant.ResourceExhausted("full", retry_after=1)) is None
+
+
+def test_what_iterates_says_so() -> None:
+    for method, items in ((pliant.Client.sessions, "pb.Session"), (pliant.Stream.__iter__, "Frame")):
+        assert inspect.signature(method).return_annotation == f"Iterator[{items}]"
+
+
+def test_an_answer_that_comes_late_does_not_open_a_closed_session() -> None:
+    books = Books(pb.Session(id="a"))
+    books.closed = True
+    books.sent(pb.Session(id="a"))
+    books.travelled(pb.Session(id="a"), 0)
+    books.edited(pb.Session(id="a"))
+    assert books.closed

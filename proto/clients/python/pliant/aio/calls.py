@@ -20,9 +20,6 @@ from ..v1.pliant_pb2_grpc import DeformerStub
 
 _T = TypeVar("_T")
 
-#: Seconds between looks at whether a server of one's own still runs.
-_GLANCE = 0.5
-
 
 class Lines:
     """The connections of one client: one to its server, and one to each node that it was sent to."""
@@ -167,13 +164,15 @@ class Calls:
         patience = patience if is_sure else min(patience, AWAY_SECONDS)
         line = self._lines.to(self._route.settings())[0]
         end = time.monotonic() + patience
-        while not await self.transport.ready(line, min(_GLANCE, max(0.0, end - time.monotonic()))):
-            hopeless = self._server is not None and self._server.ended is not None
-            if time.monotonic() >= end or hopeless or given_up():
-                # There is somebody else to ask.
-                self._route.go_on()
-                return not (is_sure or hopeless or given_up())
-        return True
+
+        def hopeless() -> bool:
+            return (self._server is not None and self._server.ended is not None) or given_up()
+
+        if await self.transport.ready(line, end, hopeless):
+            return True
+        # There is somebody else to ask.
+        self._route.go_on()
+        return not (is_sure or hopeless())
 
     async def _repeat(self, attempt: Callable[[], Awaitable[_T]], patience: float | None = None) -> _T:
         attempts = channel.Attempts(self.settings.patience if patience is None else patience)
