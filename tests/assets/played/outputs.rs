@@ -69,7 +69,7 @@ pub(super) fn percent_after(said: &str, text: &str) -> f64 {
 }
 
 /// Plays the bar's clip into bar.glb: how far the report says that the file is off bar.pc2, which is checked, and the file.
-/// So is what stderr says to people: `told`, and the largest distance.
+/// So is what stderr says to people: `reported`, and the largest distance.
 pub(super) fn written_error(folder: &Workplace, options: &str, told: &str) -> (Value, Parsed) {
     let said = animate_bar(folder, &format!("-o bar.glb {options} --force"));
     let mut report = run_bar(folder, &format!("-o bar.glb {options} --json --force")).json();
