@@ -69,8 +69,8 @@ pub(super) fn percent_after(said: &str, text: &str) -> f64 {
 }
 
 /// Plays the bar's clip into bar.glb: how far the report says that the file is off bar.pc2, which is checked, and the file.
-/// So is what stderr says to people: `reported`, and the largest distance.
-pub(super) fn written_error(folder: &Workplace, options: &str, told: &str) -> (Value, Parsed) {
+/// So is what stderr says to people: `words`, and the largest distance.
+pub(super) fn written_error(folder: &Workplace, options: &str, words: &str) -> (Value, Parsed) {
     let said = animate_bar(folder, &format!("-o bar.glb {options} --force"));
     let mut report = run_bar(folder, &format!("-o bar.glb {options} --json --force")).json();
     let reported = report["writtenError"].take();
@@ -80,7 +80,7 @@ pub(super) fn written_error(folder: &Workplace, options: &str, told: &str) -> (V
     let rms = (squares / offs.len() as f64).sqrt();
     let worst = farthest_of_bar(folder, &file);
     let percent = |off: f64| 100.0 * off / DVec3::new(6.0, 1.0, 1.0).length();
-    assert!(said.contains(told), "{options}: {said}");
+    assert!(said.contains(words), "{options}: {said}");
     let (before, slack) = match options.contains("skin") {
         true => ("(root mean square), ", 5e-3),
         false => ("at worst a vertex is off by ", 2e-3),
@@ -88,7 +88,7 @@ pub(super) fn written_error(folder: &Workplace, options: &str, told: &str) -> (V
     let said = percent_after(&said, before);
     assert!(
         (percent(worst) - said).abs() < slack,
-        "{options}: {} is told as {said}",
+        "{options}: {} is reported as {said}",
         percent(worst)
     );
     for (seen, key, slack) in [(rms, "rmsPercent", 0.02), (worst, "maxPercent", 0.0)] {
