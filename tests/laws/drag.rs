@@ -188,8 +188,12 @@ fn methods_for_comparison_are_not_solved_ahead_where_nothing_turns_either() {
             ..SolveSettings::default()
         };
         (1..=8).any(|k| {
-            let shift = HandlePose::translation(DVec3::new(0.6, -0.4, 0.3) * (f64::from(k) / 8.0));
-            frame(&mut dragged, vec![("high", shift)], &settings, &pool);
+            let t = f64::from(k) / 8.0;
+            let larger = HandlePose {
+                scale: Some(HandleScale::PerAxis(DVec3::new(1.0 + 0.5 * t, 1.0, 1.0 - 0.3 * t))),
+                ..HandlePose::translation(DVec3::new(0.6, -0.4, 0.3) * t)
+            };
+            frame(&mut dragged, vec![("high", larger)], &settings, &pool);
             dragged.is_worth_settling()
         })
     };
