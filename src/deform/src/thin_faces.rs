@@ -232,7 +232,7 @@ const SWEEPS: usize = 3;
 
 impl NeedlesAndCaps {
     /// Moves the corners of thin faces to where the shape around them is. What handles hold stays, and so does what has
-    /// not moved. `positions` and `frames` are by node, as in [`crate::PoseSolution`].
+    /// not moved. `positions` and `frames` are by node, as in [`crate::SolvedNodes`].
     pub fn settle(
         &self,
         body: &DeformableBody,
