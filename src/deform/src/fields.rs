@@ -326,7 +326,7 @@ mod tests {
             handles: holds.to_vec(),
             ..Default::default()
         };
-        HandleSystem::build(body, setup, &Exec::new(pool, &Silent)).expect("a handles")
+        HandleSystem::build(body, setup, &Exec::new(pool, &Silent)).expect("handles")
     }
 
     #[test]

@@ -162,13 +162,13 @@ fn every_output_holds_the_same_positions() {
 fn shapes_and_bones_play_the_frames_as_nearly_as_is_reported() {
     let folder = &bar_folder();
     animate_bar(folder, "-o bar.pc2");
-    for (options, parts, most, told) in [
+    for (options, parts, most, words) in [
         ("--max-targets 6", 6, 100.0, "blended from 6 shapes"),
         ("--max-targets 8", 8, 10.0, "blended from 8 shapes"),
         ("--as skin", 40, 100.0, "40 bones play the frames"),
         ("--as skin --bones 12", 12, 1.0, "12 bones play the frames"),
     ] {
-        let (reported, file) = written_error(folder, options, told);
+        let (reported, file) = written_error(folder, options, words);
         assert_eq!(reported["parts"], parts, "{options}: {reported}");
         let worst = reported["maxPercent"].as_f64().expect("a number");
         assert!(worst < most && (parts != 8 || worst > 0.01), "{options}: {reported}");

@@ -222,7 +222,7 @@ def test_a_server_of_ones_own_that_dies_is_named(creature: Path) -> None:
 def test_a_connection_that_is_closed_while_it_is_waited_for_leaves_no_trace() -> None:
     waiting = []
     for k in range(6):
-        # Nobody listens there.
+        # No server listens there.
         line = grpc.insecure_channel("127.0.0.1:1")
         wait = Blocking().ready(line, time.monotonic() + 1.2, lambda: False)
         waiting.append(threading.Thread(target=run, args=(wait,)))
