@@ -333,13 +333,13 @@ impl Deformer {
     }
 
     fn handle_facts(&self) -> Vec<HandleFacts> {
-        let places = self.handles.counts.iter().zip(&self.handles.centroids);
-        let handles = self.handles.set.handles.iter().zip(places);
-        let facts = handles.map(|(h, (held, &centroid))| HandleFacts {
-            id: h.id.clone(),
-            vertices: held.vertices,
-            interior_nodes: held.interior_nodes,
-            centroid,
+        let handles = self.handles.set.handles.iter().enumerate();
+        let facts = handles.map(|(k, handle)| HandleFacts {
+            id: handle.id.clone(),
+            vertices: self.handles.counts[k].vertices,
+            interior_nodes: self.handles.counts[k].interior_nodes,
+            centroid: self.handles.centroids[k],
+            pivot: self.handles.pivots[k],
         });
         facts.collect()
     }
@@ -384,7 +384,16 @@ impl Deformer {
             Some(system) => warn_of_large_faces(&self.derived.mesh, system, body.diagonal, 0.0, exec)?,
             None => None,
         };
-        self.handles = resolved;
+        let joint = |k: usize| system.as_ref().and_then(|system| system.joint_of(body, k, exec.pool));
+        let pivots = resolved
+            .centroids
+            .iter()
+            .enumerate()
+            .map(|(k, middle)| joint(k).unwrap_or(*middle));
+        self.handles = ResolvedHandles {
+            pivots: pivots.collect(),
+            ..resolved
+        };
         self.handles.warnings.extend(large);
         self.handle_system = system;
         self.state.reset();
@@ -406,8 +415,8 @@ impl Deformer {
     }
 
     /// Default pivots of the handles in force.
-    pub(super) fn centroids(&self) -> &[DVec3] {
-        &self.handles.centroids
+    pub(super) fn pivots(&self) -> &[DVec3] {
+        &self.handles.pivots
     }
 
     /// The poses that the handles in force came with.

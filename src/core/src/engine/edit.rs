@@ -313,7 +313,7 @@ impl Deformer {
         let held = HeldVertices {
             set,
             vertices,
-            centroids: self.centroids(),
+            pivots: self.pivots(),
             moved: (!at_rest && order.shape.positions != *self.rest()).then(|| self.handles.transforms(&order.poses.0)),
         };
         let poses = at_rest.then_some(order.poses.0.as_slice());

@@ -92,7 +92,7 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
     const mode = MODES[s.tool.value];
     const holds = handle !== undefined && handle.hold !== "pin" && mode !== undefined && onScreen.value === undefined;
     if (mode !== undefined) gizmo.setMode(mode, s.settings.value.localAxes, false);
-    gizmo.attach(holds ? handle.centroid : undefined, holds ? handle.pose : undefined);
+    gizmo.attach(holds ? handle.pivot : undefined, holds ? handle.pose : undefined);
   });
   effect(() => view().markers.show(onScreen.value === undefined ? s.handles.value : []));
   effect(() => plane.show(s.cutPlane.value));

@@ -1,5 +1,5 @@
 /**
- * The gizmo: a handle's pose as something to take hold of. It sits at the handle's centroid, moved by its translation;
+ * The gizmo: a handle's pose as something to take hold of. It sits at the handle's pivot, moved by its translation;
  * rotation counts turns, so that a handle can be wound past 180°.
  */
 
@@ -85,14 +85,14 @@ export class Gizmo {
   }
 
   /** Places it on a handle; without one it hides. */
-  attach(centroid: Vector | undefined, pose: HandlePose | undefined): void {
-    this.attached = centroid !== undefined && pose !== undefined;
-    if (centroid === undefined || pose === undefined) {
+  attach(pivot: Vector | undefined, pose: HandlePose | undefined): void {
+    this.attached = pivot !== undefined && pose !== undefined;
+    if (pivot === undefined || pose === undefined) {
       this.controls.detach();
     } else if (!this.controls.dragging) {
-      this.pivot = centroid;
+      this.pivot = pivot;
       this.rotation = pose.rotation;
-      this.grip.position.set(...add(centroid, pose.translation));
+      this.grip.position.set(...add(pivot, pose.translation));
       this.grip.quaternion.set(...(quaternionOf(pose.rotation) as [number, number, number, number]));
       this.grip.scale.set(...(pose.scale as [number, number, number]));
       this.controls.attach(this.grip);
