@@ -257,8 +257,8 @@ fn an_edit_changes_the_body_and_leaves_what_rides_along_in_its_place() {
         deformer.set_handles(ends(2.2), &exec).expect("held");
         let faces = faces_of(&deformer, own);
         for edit in [&cut, &halves, &thin] {
-            let bend = [("high", HandlePose::rotation([0.5, 0.0, 0.0]))];
-            let bent = deformer.commit(bend, &settings, &exec).expect("solved");
+            let turned = HandlePose::rotation([0.5, 0.0, 0.0]).about([0.0, 2.6, 0.0]);
+            let bent = deformer.commit([("high", turned)], &settings, &exec).expect("solved");
             let place = vertices_of(&deformer, own, &bent.positions).to_vec();
             let (state, rest) = (deformer.topology_state(), deformer.rest().to_vec());
             let before = faces_of(&deformer, other).len();

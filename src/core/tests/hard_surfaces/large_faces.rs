@@ -36,8 +36,9 @@ fn bend(shape: &shapes::Shape, angle: f64, exec: &Exec<'_>) -> BentBar {
 fn hold_and_bend(deformer: &mut Deformer, angle: f64, exec: &Exec<'_>) -> (HandlePoses, ModelShape) {
     let side = LongSide::of(deformer.rest());
     side.hold_ends(deformer, exec).expect("handles");
+    let turned = side.turn(angle).about(side.middle_of_top(deformer.rest()));
     let poses = deformer
-        .change_poses(&deformer.initial_poses(), [("top", side.turn(angle))])
+        .change_poses(&deformer.initial_poses(), [("top", turned)])
         .expect("a pose");
     let settings = SolveSettings::default();
     let shape = deformer.solve(&poses, &settings, SolveMode::Commit, exec, &mut |_| true);
