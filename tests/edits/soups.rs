@@ -8,7 +8,7 @@ use pliant::deform::VolumeMode;
 use pliant::edit::{KeptSide, SubdivisionScheme};
 use pliant::engine::{
     CutLine, Deformer, DeformerLimits, Edit, EditReport, Handle, HandlePose, MergeJoin, ModelMerge, OpenOptions, Plane,
-    Region, RemeshCommand, SolveSettings,
+    Region, RemeshCommand, SmoothCommand, SmoothKind, SolveSettings,
 };
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -185,6 +185,14 @@ fn remesh(length: f64) -> Edit {
     })
 }
 
+fn smooth(kind: SmoothKind, region: Option<Region>) -> Edit {
+    Edit::Smooth(SmoothCommand {
+        region,
+        kind,
+        ..SmoothCommand::default()
+    })
+}
+
 /// The triangles by the places of their corners, in an order of their own.
 fn surface(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<[[u64; 3]; 3]> {
     let place = |v: u32| (positions[v as usize] + DVec3::ZERO).to_array().map(f64::to_bits);
@@ -259,6 +267,9 @@ fn operations(shape: &Shape, edge: f64) -> Vec<(&'static str, Vec<Edit>)> {
             "loop of a region",
             vec![subdivide(Some(top()), SubdivisionScheme::Loop)],
         ),
+        ("smooth", vec![smooth(SmoothKind::Smooth, None)]),
+        ("smooth a region", vec![smooth(SmoothKind::Smooth, Some(top()))]),
+        ("relax", vec![smooth(SmoothKind::Relax, None)]),
         ("weld", vec![Edit::Weld { tolerance: 1e-6 }]),
         ("coarse weld", vec![Edit::Weld { tolerance: 0.5 * edge }]),
         ("cut", vec![plane(KeptSide::Below, false)]),

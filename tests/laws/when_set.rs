@@ -7,7 +7,7 @@ use pliant::batch;
 use pliant::edit::{KeptSide, SubdivisionScheme};
 use pliant::engine::{
     CutLine, Deformer, DeformerLimits, Edit, EditCommand, EditOutcome, EditedShape, Handle, HandlePose, HandleSet,
-    MergeJoin, ModelMerge, ModelShape, Plane, Region, RemeshCommand, SolveSettings,
+    MergeJoin, ModelMerge, ModelShape, Plane, Region, RemeshCommand, SmoothCommand, SmoothKind, SolveSettings,
 };
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -76,6 +76,15 @@ fn operations() -> Vec<(&'static str, Vec<Edit>)> {
             ],
         ),
         ("remesh", vec![remesh(None, 0.2)]),
+        ("smooth", vec![Edit::Smooth(SmoothCommand::default())]),
+        (
+            "relax a part",
+            vec![Edit::Smooth(SmoothCommand {
+                region: Some(side()),
+                kind: SmoothKind::Relax,
+                ..SmoothCommand::default()
+            })],
+        ),
         ("remesh a part", vec![remesh(Some(side()), 0.15)]),
         ("merge", vec![Edit::Merge(Box::new(merge))]),
         (

@@ -9,6 +9,7 @@ use pb::edit_request::{self as message, Operation};
 use pliant_asset::{FileSet, Format};
 use pliant_core::engine::{
     CutLine, Edit, EditKind, EditReport, EditedShape, MergeJoin, MeshCounts, ModelMerge, Region, RemeshCommand,
+    SmoothCommand, SmoothKind,
 };
 use pliant_edit::{KeptSide, MOST_POINTS, SubdivisionScheme};
 
@@ -23,7 +24,7 @@ pub fn edit(request: &pb::EditRequest, other: Option<&FileSet>) -> Result<(Edit,
     };
     let edit = match &request.operation {
         None => {
-            let allowed = "cut, subdivide, decimate, delete, fill, remesh, merge, insertCurve or weld";
+            let allowed = "cut, subdivide, decimate, delete, fill, remesh, smooth, merge, insertCurve or weld";
             let problem = format!("is missing, allowed is one of {allowed}");
             return Err(Error::invalid("operation", problem));
         }
@@ -53,6 +54,7 @@ pub fn edit(request: &pb::EditRequest, other: Option<&FileSet>) -> Result<(Edit,
             region: optional_region(fill.region.as_ref(), "fill.region")?,
         },
         Some(Operation::Remesh(remesh)) => self::remesh(remesh)?,
+        Some(Operation::Smooth(smooth)) => self::smooth(smooth)?,
         Some(Operation::Merge(merge)) => Edit::Merge(Box::new(self::merge(merge, other)?)),
         Some(Operation::InsertCurve(curve)) => Edit::InsertCurve {
             points: line(&curve.points, "insertCurve.points", curve.closed)?,
@@ -74,6 +76,7 @@ pub fn edit_name(edit: &pb::EditRequest) -> &'static str {
         Some(Operation::Delete(_)) => EditKind::Delete.name(),
         Some(Operation::Fill(_)) => EditKind::Fill.name(),
         Some(Operation::Remesh(_)) => EditKind::Remesh.name(),
+        Some(Operation::Smooth(_)) => EditKind::Smooth.name(),
         Some(Operation::Merge(_)) => EditKind::Merge.name(),
         Some(Operation::InsertCurve(_)) => EditKind::InsertCurve.name(),
         Some(Operation::Weld(_)) => EditKind::Weld.name(),
@@ -101,6 +104,7 @@ pub fn edit_result(report: &EditReport) -> pb::EditResult {
             .collect(),
         curve: report.curve.clone(),
         deviation: report.deviation,
+        volume_change: report.volume_change,
         digest: report.digest.clone(),
         repaired: report.repaired,
         ..Default::default()
@@ -159,15 +163,32 @@ fn remesh(remesh: &message::Remesh) -> Result<Edit, Error> {
         (false, 0.0) => return Err(Error::invalid(field, "is missing; give a length or set auto")),
         (false, length) => Some(positive(length, field)?),
     };
-    let option = |value: f64, field: &str| match value {
-        0.0 => Ok(None),
-        given => positive(given, field).map(Some),
-    };
     Ok(Edit::Remesh(RemeshCommand {
         region,
         edge_length,
-        max_deviation: option(remesh.max_deviation, "remesh.maxDeviation")?,
-        sharp_degrees: option(remesh.sharp_degrees, "remesh.sharpDegrees")?,
+        max_deviation: unless_zero(remesh.max_deviation, "remesh.maxDeviation")?,
+        sharp_degrees: unless_zero(remesh.sharp_degrees, "remesh.sharpDegrees")?,
+    }))
+}
+
+/// A positive number; 0 is none.
+fn unless_zero(value: f64, field: &str) -> Result<Option<f64>, Error> {
+    match value {
+        0.0 => Ok(None),
+        given => positive(given, field).map(Some),
+    }
+}
+
+fn smooth(smooth: &message::Smooth) -> Result<Edit, Error> {
+    Ok(Edit::Smooth(SmoothCommand {
+        region: optional_region(smooth.region.as_ref(), "smooth.region")?,
+        kind: match enumerated(smooth.kind, "smooth.kind")? {
+            message::smooth::Kind::Smooth => SmoothKind::Smooth,
+            message::smooth::Kind::Relax => SmoothKind::Relax,
+        },
+        iterations: (smooth.iterations > 0).then_some(smooth.iterations),
+        strength: unless_zero(smooth.strength, "smooth.strength")?,
+        sharp_degrees: unless_zero(smooth.sharp_degrees, "smooth.sharpDegrees")?,
     }))
 }
 

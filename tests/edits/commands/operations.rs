@@ -197,3 +197,43 @@ fn another_model_is_welded_or_stitched_on() {
         assert_eq!(bench.facts_message().solver.map(|s| s.components), Some(1));
     }
 }
+
+#[test]
+fn smoothing_takes_noise_off_keeps_the_volume_and_can_be_gone_back_from() {
+    let rough = shapes::moved(bar(), |p| {
+        let wave = 0.01 * (libm::sin(71.0 * p.z) + libm::sin(53.0 * p.x) * libm::cos(67.0 * p.y));
+        p * (1.0 + wave)
+    });
+    let mut bench = bench::bench(&rough);
+    set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
+    let (before, bits) = (bench.report().volume, bench.rest().to_vec());
+    let state = bench.topology_state();
+    let middle = slab([0.0, 0.0, 1.0], -1.2, 1.2);
+    let smooth = asked(json!({"smooth": {"region": middle, "iterations": 20, "sharpDegrees": 50}}));
+    let outcome = edited(&mut bench, &smooth);
+    let digest = outcome.result.digest.clone();
+    sound(&mut bench, &outcome);
+    assert!((bench.report().volume / before - 1.0).abs() < 1e-6 && outcome.result.volume_change.abs() < 1e-6);
+    assert_eq!(outcome.result.kept.len(), 1, "vertices keep their numbers");
+    let moved = bench.rest().iter().zip(&bits).filter(|(now, was)| now != was);
+    assert!(moved.clone().all(|(_, was)| was.z.abs() < 1.25) && moved.count() > 300);
+    bench
+        .restore_topology(&state, &Exec::new(&pool(2), &Silent))
+        .expect("undone");
+    assert_eq!(*bench.rest(), bits);
+    set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
+    assert_eq!(edited(&mut bench, &smooth).result.digest, digest, "the same again");
+    // What is even has nothing to relax; what is asked for wrongly is refused by its field.
+    let rest = bench.rest_shape();
+    for (wrong, field) in [
+        (json!({"smooth": {"iterations": 1001}}), "smooth.iterations"),
+        (json!({"smooth": {"strength": 1.5}}), "smooth.strength"),
+        (
+            json!({"smooth": {"kind": "RELAX", "sharpDegrees": 181}}),
+            "smooth.sharpDegrees",
+        ),
+    ] {
+        let refused = edit(&mut bench, &asked(wrong), &rest).expect_err("out of range");
+        assert!(refused.to_string().contains(field), "{refused}");
+    }
+}

@@ -97,6 +97,7 @@ fn names_vertices(edit: &Edit) -> bool {
         | Edit::Decimate { region, .. }
         | Edit::Fill { region } => region.as_ref(),
         Edit::Remesh(command) => command.region.as_ref(),
+        Edit::Smooth(command) => command.region.as_ref(),
         _ => None,
     };
     matches!(region, Some(Region::Vertices { .. }))

@@ -83,6 +83,19 @@ class Remesh(TypedDict, total=False):
     sharp_degrees: float
 
 
+class Smooth(TypedDict, total=False):
+    """Moves vertices: off with noise, or to more even triangles."""
+
+    region: RegionLike
+    kind: Literal["smooth", "relax"]
+    #: How often; 10 where it is not given.
+    iterations: int
+    #: How far each time, above 0 and up to 1; 0.5 where it is not given.
+    strength: float
+    #: An edge stays an edge when the normals of its triangles differ by more, degrees.
+    sharp_degrees: float
+
+
 class Merge(TypedDict, total=False):
     """Adds another model: a file or its bytes, or another session by id."""
 
@@ -122,6 +135,7 @@ class EditFields(TypedDict, total=False):
     delete: Delete
     fill: Fill
     remesh: Remesh
+    smooth: Smooth
     merge: Merge
     insert_curve: InsertCurve
     weld: Weld
@@ -182,7 +196,7 @@ def _fill(name: str, operation: Any, given: dict[str, Any], count: int | None) -
     for key, value in given.items():
         if key == "region":
             operation.region.CopyFrom(region(value, count))
-        elif key in ("keep", "scheme", "how"):
+        elif key in ("keep", "scheme", "how", "kind"):
             setattr(operation, key, enum(key, _ENUMS[key], value))
         elif key == "plane" and name == "cut":
             operation.plane.CopyFrom(plane(value))
@@ -213,6 +227,7 @@ _ENUMS: dict[str, Any] = {
     "keep": pb.EditRequest.Cut.Keep,
     "scheme": pb.EditRequest.Subdivide.Scheme,
     "how": pb.EditRequest.Merge.How,
+    "kind": pb.EditRequest.Smooth.Kind,
 }
 
 

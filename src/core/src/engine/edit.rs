@@ -139,6 +139,7 @@ impl Deformer {
             kept: kept_vertex_runs(applied, before.vertices as usize),
             curve: applied.vertices_of_points(&patch.curve),
             deviation: patch.deviation,
+            volume_change: patch.volume_change,
             ..Default::default()
         };
         let noticed = patch.warnings.iter();

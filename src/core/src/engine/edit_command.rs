@@ -58,6 +58,8 @@ pub enum Edit {
     },
     /// Evens out triangles.
     Remesh(RemeshCommand),
+    /// Moves points to make a smoother surface, or more even triangles on the same one.
+    Smooth(SmoothCommand),
     /// Adds another model.
     Merge(Box<ModelMerge>),
     /// Inserts a polyline into the surface as edges.
@@ -86,6 +88,34 @@ pub struct RemeshCommand {
     /// As [`RemeshOptions::sharp_degrees`](crate::edit::RemeshOptions::sharp_degrees); `None`:
     /// [`SHARP_DEGREES`](crate::edit::SHARP_DEGREES).
     pub sharp_degrees: Option<f64>,
+}
+
+/// How points are moved.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct SmoothCommand {
+    /// Where.
+    pub region: Option<Region>,
+    /// What they are moved for.
+    pub kind: SmoothKind,
+    /// As [`SmoothOptions::iterations`](crate::edit::SmoothOptions::iterations); `None`:
+    /// [`SMOOTHINGS`](crate::edit::SMOOTHINGS).
+    pub iterations: Option<u32>,
+    /// As [`SmoothOptions::strength`](crate::edit::SmoothOptions::strength); `None`:
+    /// [`SMOOTH_STRENGTH`](crate::edit::SMOOTH_STRENGTH).
+    pub strength: Option<f64>,
+    /// As [`SmoothOptions::sharp_degrees`](crate::edit::SmoothOptions::sharp_degrees); `None`: a smoothing keeps no edge, a
+    /// relaxation those above [`SHARP_DEGREES`](crate::edit::SHARP_DEGREES).
+    pub sharp_degrees: Option<f64>,
+}
+
+/// What points are moved for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum SmoothKind {
+    /// A smoother surface of the same volume.
+    #[default]
+    Smooth,
+    /// More even triangles on the same surface.
+    Relax,
 }
 
 /// Where a cut goes.
@@ -147,6 +177,7 @@ pub enum EditKind {
     Delete,
     Fill,
     Remesh,
+    Smooth,
     Merge,
     InsertCurve,
     Weld,
@@ -206,8 +237,10 @@ pub struct EditReport {
     pub kept: Vec<KeptVertexRun>,
     /// Render vertices along an inserted curve, in order, one for each of its points.
     pub curve: Vec<u32>,
-    /// Of a remesh: the largest distance between the surface before and after.
+    /// Of a remesh or relaxation: the largest distance between the surface before and after.
     pub deviation: f64,
+    /// Of a smoothing: by which part of the volume of the surface it has changed.
+    pub volume_change: f64,
     /// Digest of the positions after the edit.
     pub digest: String,
     /// Whether graph and hierarchy were repaired around the edit, not rebuilt.
@@ -235,6 +268,7 @@ impl EditKind {
             Self::Delete => "delete",
             Self::Fill => "fill",
             Self::Remesh => "remesh",
+            Self::Smooth => "smooth",
             Self::Merge => "merge",
             Self::InsertCurve => "insertCurve",
             Self::Weld => "weld",
@@ -252,6 +286,7 @@ impl Edit {
             Self::Delete { .. } => EditKind::Delete,
             Self::Fill { .. } => EditKind::Fill,
             Self::Remesh(_) => EditKind::Remesh,
+            Self::Smooth(_) => EditKind::Smooth,
             Self::Merge(_) => EditKind::Merge,
             Self::InsertCurve { .. } => EditKind::InsertCurve,
             Self::Weld { .. } => EditKind::Weld,

@@ -1,7 +1,7 @@
 //! Edits as operations on a surface: regions become triangles, another model is appended.
 
 use super::DeformerLimits;
-use super::edit_command::{CutLine, Edit, EditKind, MergeJoin, ModelMerge};
+use super::edit_command::{CutLine, Edit, EditKind, MergeJoin, ModelMerge, SmoothCommand, SmoothKind};
 use super::edit_surface::EditSurface;
 use super::error::Error;
 use super::handle::Region;
@@ -12,7 +12,9 @@ use super::region_context::{RegionContext, vertices_in_region};
 use super::seams::Seams;
 use super::shape::Shading;
 use crate::asset::Model;
-use crate::edit::{CutOptions, CutPlane, KeptSide, LoopPair, RemeshOptions, RemeshTarget, SurfaceCurve, SurfacePatch};
+use crate::edit::{
+    CutOptions, CutPlane, KeptSide, LoopPair, RemeshOptions, RemeshTarget, SmoothOptions, SurfaceCurve, SurfacePatch,
+};
 use crate::exec::Exec;
 use crate::mesh::{Adjacency, BoundingBox, Mesh, NONE, Weld, mean_edge_length};
 use crate::{asset, edit};
@@ -97,6 +99,7 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
             }
             edit::remesh_region(&surface, &faces, &options, progress)?
         }
+        Edit::Smooth(smooth) => plan_smoothing(context, smooth, exec)?,
         Edit::Merge(merge) => plan_merge(context, merge, exec)?,
         Edit::InsertCurve { points, closed } => {
             let curve = SurfaceCurve::Drawn(points);
@@ -171,6 +174,28 @@ fn plan_cut(
             edit::cut_along_curve(&surface, &SurfaceCurve::Along(&path), *closed, &options, exec.progress)?
         }
     })
+}
+
+/// Moves points; normals and tangents follow, and what stands for other vertices gives them its attributes.
+fn plan_smoothing(
+    context: &mut EditContext<'_>,
+    smooth: &SmoothCommand,
+    exec: &Exec<'_>,
+) -> Result<SurfacePatch, Error> {
+    let faces = context.faces_in_region(smooth.region.as_ref(), EditKind::Smooth)?;
+    let (surface, progress) = (context.surface.surface(), exec.progress);
+    let options = |sharp_degrees: f64| SmoothOptions {
+        iterations: smooth.iterations.unwrap_or(edit::SMOOTHINGS),
+        strength: smooth.strength.unwrap_or(edit::SMOOTH_STRENGTH),
+        sharp_degrees: smooth.sharp_degrees.unwrap_or(sharp_degrees),
+    };
+    let mut patch = match smooth.kind {
+        SmoothKind::Smooth => edit::smooth_region(&surface, &faces, &options(180.0), progress)?,
+        SmoothKind::Relax => edit::relax_region(&surface, &faces, &options(edit::SHARP_DEGREES), progress)?,
+    };
+    context.surface.seams.spread_blends(&mut patch);
+    context.surface.follow_moves(&patch);
+    Ok(patch)
 }
 
 /// Joins points; and the render vertices of each point that differ in nothing, as files without indices have them.

@@ -61,7 +61,7 @@ pub use animation::{
 pub use deformer::Deformer;
 pub use edit_command::{
     CutLine, Edit, EditCommand, EditKind, EditOutcome, EditReport, EditedShape, KeptVertexRun, MergeJoin, ModelMerge,
-    RemeshCommand,
+    RemeshCommand, SmoothCommand, SmoothKind,
 };
 pub use error::Error;
 pub use facts::{

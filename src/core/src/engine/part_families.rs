@@ -302,7 +302,10 @@ impl VertexOrigins {
         for (now, &was) in applied.old_from_vertex.iter().enumerate() {
             match (was as usize).checked_sub(old).and_then(|k| patch.vertices.get(k)) {
                 None => {
-                    blends.push_composed(&self.blends, &[(was, 1.0)]);
+                    match patch.blended.binary_search_by_key(&was, |b| b.vertex) {
+                        Ok(k) => blends.push_composed(&self.blends, &patch.blended[k].parts().collect::<Vec<_>>()),
+                        Err(_) => blends.push_composed(&self.blends, &[(was, 1.0)]),
+                    }
                     flags.push(self.bare[was as usize]);
                 }
                 Some(new) => {

@@ -11,7 +11,7 @@
 use super::error::Error;
 use super::part_families::VertexOrigins;
 use crate::asset::{Geometry, VertexAttributes, VertexBlend, agrees_with_facet, facet_normal, normal_key};
-use crate::edit::{NewVertex, SurfacePatch, SurfaceView};
+use crate::edit::{BlendedVertex, NewVertex, SurfacePatch, SurfaceView};
 use crate::mesh::{Mesh, NONE, mix_bits};
 use crate::progress::{Progress, check};
 use glam::{DVec3, Vec3};
@@ -110,6 +110,19 @@ impl Seams {
                 if marks[from] > marks[to] {
                     marks[to] = marks[from];
                 }
+            }
+        }
+    }
+
+    /// Gives the attributes that a vertex takes to all that it stands for.
+    pub fn spread_blends(&self, patch: &mut SurfacePatch) {
+        if self.is_empty() || patch.blended.is_empty() {
+            return;
+        }
+        let taken = std::mem::take(&mut patch.blended);
+        for (vertex, &first) in (0u32..).zip(&self.stands_for) {
+            if let Ok(k) = taken.binary_search_by_key(&first, |b| b.vertex) {
+                patch.blended.push(BlendedVertex { vertex, ..taken[k] });
             }
         }
     }

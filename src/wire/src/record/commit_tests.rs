@@ -143,6 +143,10 @@ fn every_edit_comes_back_as_it_was_asked_for() {
         format!(r#"{{"remesh": {{"edgeLength": 0.1, "region": {region}}}}}"#),
         r#"{"remesh": {"auto": true}}"#.into(),
         r#"{"remesh": {"auto": true, "maxDeviation": 0.01, "sharpDegrees": 25}}"#.into(),
+        r#"{"smooth": {}}"#.into(),
+        format!(
+            r#"{{"smooth": {{"kind": "RELAX", "iterations": 3, "strength": 0.25, "sharpDegrees": 30, "region": {region}}}}}"#
+        ),
         r#"{"merge": {"session": "x", "how": "LOOSE", "tolerance": 0.1, "format": "obj"}}"#.into(),
         r#"{"merge": {"session": "x", "how": "STITCH", "transform": [1,0,0,0, 0,2,0,0, 0,0,3,0, 4,5,6,1]}}"#.into(),
         r#"{"insertCurve": {"points": [0, 0, 0, 1, 0, 0], "closed": false}}"#.into(),
