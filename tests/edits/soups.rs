@@ -243,7 +243,11 @@ fn operations(shape: &Shape, edge: f64) -> Vec<(&'static str, Vec<Edit>)> {
         keep,
         fill,
     };
-    let subdivide = |region, scheme| Edit::Subdivide { region, scheme };
+    let subdivide = |region, scheme| Edit::Subdivide {
+        region,
+        scheme,
+        creases: Default::default(),
+    };
     let delete = |fill| Edit::Delete { region: top(), fill };
     // Around the shape, near enough to it.
     let around: Vec<DVec3> = (0..8)
@@ -569,6 +573,7 @@ fn handles_hold_what_they_held_of_a_soup() {
         let split = Edit::Subdivide {
             region: None,
             scheme: SubdivisionScheme::Midpoint,
+            creases: Default::default(),
         };
         let report = edit(&mut deformer, &split).expect("split");
         assert_eq!(report.handles_kept, ["base", "top"]);

@@ -49,7 +49,11 @@ fn operations() -> Vec<(&'static str, Vec<Edit>)> {
             ..RemeshCommand::default()
         })
     };
-    let subdivide = |region, scheme| Edit::Subdivide { region, scheme };
+    let subdivide = |region, scheme| Edit::Subdivide {
+        region,
+        scheme,
+        creases: Default::default(),
+    };
     vec![
         ("cut", vec![cut(KeptSide::Above, true)]),
         ("cut in two", vec![cut(KeptSide::Both, false)]),
@@ -276,6 +280,7 @@ fn undo_and_redo_lead_to_what_handles_hold_when_they_are_set_there() {
         let edit = Edit::Subdivide {
             region: Some(Region::sphere([1.0, 0.5, 2.0], 0.5)),
             scheme: SubdivisionScheme::Midpoint,
+            creases: Default::default(),
         };
         deformer.edit_rest(&edit, &story.exec).expect("edited");
         let edited = (deformer.topology_state(), deformer.handles().clone());

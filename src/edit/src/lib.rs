@@ -18,10 +18,11 @@
 //! | `smooth` | the same triangles for a smoother shape |
 //! | `stitch`, `weld` | joining boundaries and points |
 //!
-//! Other modules: the surface that is read (`surface`), its counts (`topology`) and measures of a triangle (`triangle`).
+//! Other modules: what stays sharp in a subdivision (`creases`), the surface that is read (`surface`), its counts (`topology`) and measures of a triangle (`triangle`).
 
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
+mod creases;
 mod cut;
 mod decimate;
 mod fill;
@@ -36,6 +37,7 @@ mod topology;
 mod triangle;
 mod weld;
 
+pub use creases::CreaseOptions;
 pub use cut::{CutOptions, CutPlane, KeptSide, MOST_POINTS, SurfaceCurve, cut_along_curve, cut_by_plane, insert_curve};
 pub use decimate::decimate_region;
 pub use fill::{delete_faces, fill_holes};

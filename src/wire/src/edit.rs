@@ -8,8 +8,8 @@ use glam::{DMat3, DMat4, DVec3, DVec4};
 use pb::edit_request::{self as message, Operation};
 use pliant_asset::{FileSet, Format};
 use pliant_core::engine::{
-    CutLine, Edit, EditKind, EditReport, EditedShape, MergeJoin, MeshCounts, ModelMerge, Region, RemeshCommand,
-    SmoothCommand, SmoothKind,
+    Creases, CutLine, Edit, EditKind, EditReport, EditedShape, MergeJoin, MeshCounts, ModelMerge, Region,
+    RemeshCommand, SmoothCommand, SmoothKind,
 };
 use pliant_edit::{KeptSide, MOST_POINTS, SubdivisionScheme};
 
@@ -29,16 +29,7 @@ pub fn edit(request: &pb::EditRequest, other: Option<&FileSet>) -> Result<(Edit,
             return Err(Error::invalid("operation", problem));
         }
         Some(Operation::Cut(cut)) => self::cut(cut)?,
-        Some(Operation::Subdivide(subdivide)) if subdivide.auto => Edit::SubdivideForPose {
-            region: optional_region(subdivide.region.as_ref(), "subdivide.region")?,
-        },
-        Some(Operation::Subdivide(subdivide)) => Edit::Subdivide {
-            region: optional_region(subdivide.region.as_ref(), "subdivide.region")?,
-            scheme: match enumerated(subdivide.scheme, "subdivide.scheme")? {
-                message::subdivide::Scheme::Loop => SubdivisionScheme::Loop,
-                message::subdivide::Scheme::Midpoint => SubdivisionScheme::Midpoint,
-            },
-        },
+        Some(Operation::Subdivide(subdivide)) => self::subdivide(subdivide)?,
         Some(Operation::Decimate(decimate)) => Edit::Decimate {
             ratio: number(decimate.ratio, "decimate.ratio")?,
             region: optional_region(decimate.region.as_ref(), "decimate.region")?,
@@ -103,6 +94,7 @@ pub fn edit_result(report: &EditReport) -> pb::EditResult {
             })
             .collect(),
         curve: report.curve.clone(),
+        creases: report.creases.as_flattened().to_vec(),
         deviation: report.deviation,
         volume_change: report.volume_change,
         digest: report.digest.clone(),
@@ -169,6 +161,38 @@ fn remesh(remesh: &message::Remesh) -> Result<Edit, Error> {
         max_deviation: unless_zero(remesh.max_deviation, "remesh.maxDeviation")?,
         sharp_degrees: unless_zero(remesh.sharp_degrees, "remesh.sharpDegrees")?,
     }))
+}
+
+fn subdivide(subdivide: &message::Subdivide) -> Result<Edit, Error> {
+    let region = optional_region(subdivide.region.as_ref(), "subdivide.region")?;
+    let scheme = match enumerated(subdivide.scheme, "subdivide.scheme")? {
+        message::subdivide::Scheme::Loop => SubdivisionScheme::Loop,
+        message::subdivide::Scheme::Midpoint => SubdivisionScheme::Midpoint,
+    };
+    let (pairs, rest) = subdivide.creases.as_chunks();
+    if !rest.is_empty() {
+        let seen = subdivide.creases.len();
+        let problem = format!("has {seen} vertices, two are needed for each edge");
+        return Err(Error::invalid("subdivide.creases", problem));
+    }
+    let creases = Creases {
+        degrees: unless_zero(subdivide.crease_degrees, "subdivide.creaseDegrees")?,
+        edges: pairs.to_vec(),
+        between_primitives: subdivide.crease_primitives,
+        sharpness: unless_zero(subdivide.sharpness, "subdivide.sharpness")?,
+    };
+    if creases != Creases::default() && (subdivide.auto || scheme != SubdivisionScheme::Loop) {
+        let problem = "keeps every edge as it is without LOOP; leave the creases out";
+        return Err(Error::invalid("subdivide", problem));
+    }
+    Ok(match subdivide.auto {
+        true => Edit::SubdivideForPose { region },
+        false => Edit::Subdivide {
+            region,
+            scheme,
+            creases,
+        },
+    })
 }
 
 /// A positive number; 0 is none.

@@ -199,6 +199,35 @@ fn another_model_is_welded_or_stitched_on() {
 }
 
 #[test]
+fn creases_keep_the_edges_of_a_bar_through_two_subdivisions() {
+    let mut bench = bench::bench(&shapes::moved(shapes::cube(1), |p| p * DVec3::new(1.0, 1.0, 4.0)));
+    set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
+    let outcome = edited(&mut bench, &asked(json!({"subdivide": {"creaseDegrees": 40}})));
+    let creases = outcome.result.creases.clone();
+    assert!(creases.len() >= 48 && creases.len().is_multiple_of(4));
+    let outcome = edited(&mut bench, &asked(json!({"subdivide": {"creases": creases}})));
+    sound(&mut bench, &outcome);
+    assert_eq!(outcome.result.creases.len(), 2 * creases.len());
+    let (low, high) = shapes::bounds(bench.rest());
+    let size = high - low;
+    let filled = bench.report().volume / (size.x * size.y * size.z);
+    assert!((filled - 1.0).abs() < 1e-12, "still a bar: {filled}");
+    let rest = bench.rest_shape();
+    for (wrong, field) in [
+        (json!({"subdivide": {"creases": [0, 1, 2]}}), "subdivide.creases"),
+        (json!({"subdivide": {"creases": [0, 100_000]}}), "subdivide.creases[1]"),
+        (json!({"subdivide": {"creaseDegrees": 200}}), "subdivide.creaseDegrees"),
+        (
+            json!({"subdivide": {"scheme": "MIDPOINT", "sharpness": 1}}),
+            "without LOOP",
+        ),
+    ] {
+        let refused = edit(&mut bench, &asked(wrong), &rest).expect_err("no creases");
+        assert!(refused.to_string().contains(field), "{refused}");
+    }
+}
+
+#[test]
 fn smoothing_takes_noise_off_keeps_the_volume_and_can_be_gone_back_from() {
     let rough = shapes::moved(bar(), |p| {
         let wave = 0.01 * (libm::sin(71.0 * p.z) + libm::sin(53.0 * p.x) * libm::cos(67.0 * p.y));
@@ -208,7 +237,7 @@ fn smoothing_takes_noise_off_keeps_the_volume_and_can_be_gone_back_from() {
     set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
     let (before, bits) = (bench.report().volume, bench.rest().to_vec());
     let state = bench.topology_state();
-    let middle = slab([0.0, 0.0, 1.0], -1.2, 1.2);
+    let middle = json!({"box": {"min": [-1, -1, -1.2], "max": [1, 1, 1.2]}});
     let smooth = asked(json!({"smooth": {"region": middle, "iterations": 20, "sharpDegrees": 50}}));
     let outcome = edited(&mut bench, &smooth);
     let digest = outcome.result.digest.clone();
@@ -223,7 +252,7 @@ fn smoothing_takes_noise_off_keeps_the_volume_and_can_be_gone_back_from() {
     assert_eq!(*bench.rest(), bits);
     set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
     assert_eq!(edited(&mut bench, &smooth).result.digest, digest, "the same again");
-    // What is even has nothing to relax; what is asked for wrongly is refused by its field.
+    // What is asked for wrongly is refused by its field.
     let rest = bench.rest_shape();
     for (wrong, field) in [
         (json!({"smooth": {"iterations": 1001}}), "smooth.iterations"),

@@ -213,6 +213,7 @@ pub(super) fn edit(draw: &mut ByteDraw<'_>) -> Edit {
         3 => Edit::Subdivide {
             region: somewhere(draw),
             scheme: [SubdivisionScheme::Midpoint, SubdivisionScheme::Loop][draw.below(2)],
+            creases: Default::default(),
         },
         4 => Edit::SubdivideForPose {
             region: somewhere(draw),

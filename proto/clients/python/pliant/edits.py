@@ -45,6 +45,14 @@ class Subdivide(TypedDict, total=False):
     scheme: Literal["loop", "midpoint"]
     #: Only triangles too large for the bend between the handles.
     auto: bool
+    #: With LOOP, edges sharper than this stay edges, degrees.
+    crease_degrees: float
+    #: Pairs of render vertices between which edges stay edges, in a row.
+    creases: Any
+    #: Edges between two primitives stay edges.
+    crease_primitives: bool
+    #: Below 1 creases are rounded in part.
+    sharpness: float
 
 
 class Decimate(TypedDict, total=False):
@@ -212,8 +220,8 @@ def _fill(name: str, operation: Any, given: dict[str, Any], count: int | None) -
             if not in_a_row and (points.ndim != 2 or points.shape[1] != 3):
                 raise ValueError(f"{key} of shape {points.shape}, (points, 3) is allowed, or x, y, z of each in a row")
             getattr(operation, key).extend(points.ravel().tolist())
-        elif key == "path":
-            operation.path.extend(indices(key, value).tolist())
+        elif key in ("path", "creases"):
+            getattr(operation, key).extend(indices(key, np.ravel(value)).tolist())
         elif key in ("model", "file") and name == "merge":
             operation.model = value if isinstance(value, bytes) else Path(value).read_bytes()
         elif key in operation.DESCRIPTOR.fields_by_name:

@@ -31,6 +31,8 @@ pub enum Edit {
         region: Option<Region>,
         /// Where the new vertices lie.
         scheme: SubdivisionScheme,
+        /// Which edges stay sharp.
+        creases: Creases,
     },
     /// Splits triangles that are too large for the bend between handles.
     SubdivideForPose {
@@ -74,6 +76,19 @@ pub enum Edit {
         /// The largest distance, in model units.
         tolerance: f64,
     },
+}
+
+/// Which edges a subdivision leaves sharp.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Creases {
+    /// As [`CreaseOptions::degrees`](crate::edit::CreaseOptions::degrees).
+    pub degrees: Option<f64>,
+    /// Edges between these pairs of render vertices.
+    pub edges: Vec<[u32; 2]>,
+    /// Edges between two primitives.
+    pub between_primitives: bool,
+    /// As [`CreaseOptions::sharpness`](crate::edit::CreaseOptions::sharpness); `None`: wholly sharp.
+    pub sharpness: Option<f64>,
 }
 
 /// How triangles are evened out.
@@ -237,6 +252,8 @@ pub struct EditReport {
     pub kept: Vec<KeptVertexRun>,
     /// Render vertices along an inserted curve, in order, one for each of its points.
     pub curve: Vec<u32>,
+    /// Of a subdivision with creases: the render vertices at the ends of the edges that they are now.
+    pub creases: Vec<[u32; 2]>,
     /// Of a remesh or relaxation: the largest distance between the surface before and after.
     pub deviation: f64,
     /// Of a smoothing: by which part of the volume of the surface it has changed.

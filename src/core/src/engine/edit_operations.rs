@@ -13,7 +13,8 @@ use super::seams::Seams;
 use super::shape::Shading;
 use crate::asset::Model;
 use crate::edit::{
-    CutOptions, CutPlane, KeptSide, LoopPair, RemeshOptions, RemeshTarget, SmoothOptions, SurfaceCurve, SurfacePatch,
+    CreaseOptions, CutOptions, CutPlane, KeptSide, LoopPair, RemeshOptions, RemeshTarget, SmoothOptions, SurfaceCurve,
+    SurfacePatch, SurfaceView,
 };
 use crate::exec::Exec;
 use crate::mesh::{Adjacency, BoundingBox, Mesh, NONE, Weld, mean_edge_length};
@@ -50,10 +51,21 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
     edit::check_faces_at_points(&surface)?;
     Ok(match edit {
         Edit::Cut { along, keep, fill } => plan_cut(context, along, *keep, *fill, exec)?,
-        Edit::Subdivide { region, scheme } => {
+        Edit::Subdivide {
+            region,
+            scheme,
+            creases,
+        } => {
             let faces = context.faces_in_region(region.as_ref(), kind)?;
             (context.admit_growth)(3.0 * faces.len() as f64)?;
-            edit::subdivide_region(&surface, &faces, *scheme, progress)?
+            let named = points_of(&surface, creases.edges.as_flattened(), "subdivide.creases")?;
+            let creases = CreaseOptions {
+                degrees: creases.degrees,
+                edges: named.as_chunks().0,
+                between_primitives: creases.between_primitives,
+                sharpness: creases.sharpness.unwrap_or(1.0),
+            };
+            edit::subdivide_region(&surface, &faces, *scheme, &creases, progress)?
         }
         Edit::SubdivideForPose { region } => {
             let faces = context.faces_in_region(region.as_ref(), kind)?;
@@ -161,19 +173,25 @@ fn plan_cut(
             edit::cut_along_curve(&surface, &curve, *closed, &options, exec.progress)?
         }
         CutLine::Path { vertices, closed } => {
-            let mut path = Vec::with_capacity(vertices.len());
-            for (k, &vertex) in vertices.iter().enumerate() {
-                let point = surface.point_of.get(vertex as usize).copied();
-                path.push(point.filter(|p| *p != NONE).ok_or_else(|| {
-                    let count = surface.positions.len();
-                    let problem =
-                        format!("is {vertex}, which no triangle uses; the model has {count} vertices, counted from 0");
-                    Error::invalid(format!("cut.path[{k}]"), problem)
-                })?);
-            }
+            let path = points_of(&surface, vertices, "cut.path")?;
             edit::cut_along_curve(&surface, &SurfaceCurve::Along(&path), *closed, &options, exec.progress)?
         }
     })
+}
+
+/// The points of render vertices that a field names.
+fn points_of(surface: &SurfaceView<'_>, vertices: &[u32], field: &str) -> Result<Vec<u32>, Error> {
+    let mut points = Vec::with_capacity(vertices.len());
+    for (k, &vertex) in vertices.iter().enumerate() {
+        let point = surface.point_of.get(vertex as usize).copied();
+        points.push(point.filter(|p| *p != NONE).ok_or_else(|| {
+            let count = surface.positions.len();
+            let problem =
+                format!("is {vertex}, which no triangle uses; the model has {count} vertices, counted from 0");
+            Error::invalid(format!("{field}[{k}]"), problem)
+        })?);
+    }
+    Ok(points)
 }
 
 /// Moves points; normals and tangents follow, and what stands for other vertices gives them its attributes.

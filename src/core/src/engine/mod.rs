@@ -60,8 +60,8 @@ pub use animation::{
 };
 pub use deformer::Deformer;
 pub use edit_command::{
-    CutLine, Edit, EditCommand, EditKind, EditOutcome, EditReport, EditedShape, KeptVertexRun, MergeJoin, ModelMerge,
-    RemeshCommand, SmoothCommand, SmoothKind,
+    Creases, CutLine, Edit, EditCommand, EditKind, EditOutcome, EditReport, EditedShape, KeptVertexRun, MergeJoin,
+    ModelMerge, RemeshCommand, SmoothCommand, SmoothKind,
 };
 pub use error::Error;
 pub use facts::{

@@ -188,6 +188,7 @@ fn what_is_undone_is_as_it_was_and_edits_tie_again_around_themselves() {
         let edit = Edit::Subdivide {
             region: Some(region),
             scheme: SubdivisionScheme::Midpoint,
+            creases: Default::default(),
         };
         let outcome = deformer.edit_rest(&edit, &exec).expect("split");
         assert!(outcome.report.repaired, "{name}: the graph follows");

@@ -138,6 +138,8 @@ pub struct SurfacePatch {
     pub warnings: Vec<EditWarning>,
     /// Points along an inserted curve, in order, in the numbers after the edit.
     pub curve: Vec<u32>,
+    /// Edges that stay sharp in a subdivision, by their ends, in the numbers after the edit.
+    pub creases: Vec<[u32; 2]>,
     /// Of a remesh or relaxation: the largest distance between the surface before and after.
     pub deviation: f64,
     /// Of a smoothing: by which part of the volume of the surface it changes.

@@ -136,6 +136,8 @@ fn every_edit_comes_back_as_it_was_asked_for() {
         format!(r#"{{"subdivide": {{"region": {region}, "scheme": "MIDPOINT"}}}}"#),
         r#"{"subdivide": {}}"#.into(),
         r#"{"subdivide": {"auto": true}}"#.into(),
+        r#"{"subdivide": {"creaseDegrees": 30, "creases": [1, 2, 2, 7], "creasePrimitives": true, "sharpness": 0.5}}"#
+            .into(),
         format!(r#"{{"decimate": {{"ratio": 0.3, "region": {region}}}}}"#),
         format!(r#"{{"delete": {{"fill": true, "region": {region}}}}}"#),
         format!(r#"{{"fill": {{"region": {region}}}}}"#),
