@@ -249,7 +249,7 @@ fn smoothing_takes_noise_off_keeps_the_volume_and_can_be_gone_back_from() {
     bench
         .restore_topology(&state, &Exec::new(&pool(2), &Silent))
         .expect("undone");
-    assert_eq!(*bench.rest(), bits);
+    assert_eq!(**bench.rest(), bits);
     set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
     assert_eq!(edited(&mut bench, &smooth).result.digest, digest, "the same again");
     // What is asked for wrongly is refused by its field.
