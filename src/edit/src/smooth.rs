@@ -48,9 +48,6 @@ const LEAST_WEIGHT: f64 = 0.02;
 /// No more than this, so that no sliver counts for all.
 const LARGEST_WEIGHT: f64 = 20.0;
 
-/// No face turns by more than the angle with this cosine (60°) in one iteration.
-const LEAST_COSINE: f64 = 0.5;
-
 /// The volume is right when no more than this part of what was lost is left.
 const EXACT: f64 = 1e-9;
 
@@ -222,36 +219,47 @@ impl Smoother {
         self.set_positions(&moved);
     }
 
-    /// Puts points back where they were `before` while a face at them has turned over or lost its area.
+    /// Puts points back where they were `before` while a face at them has turned over, against the faces around it, or lost its
+    /// area. One that was turned over may stay so or turn back.
     fn take_back(&mut self, before: &[DVec3]) {
-        let place = |p: u32| self.row_of[p as usize];
+        let is_free = |p: &u32| self.row_of[*p as usize] != NONE;
         let faces: Vec<u32> = (self.mesh.living_faces())
-            .filter(|&f| self.mesh.points_of(f).iter().any(|&p| place(p) != NONE))
+            .filter(|&f| self.mesh.points_of(f).iter().any(is_free))
             .collect();
+        let was_over = self.turned_over(&faces, |p| match self.row_of[p as usize] {
+            NONE => self.mesh.position(p),
+            row => before[row as usize],
+        });
         loop {
-            let mut back: Vec<u32> = Vec::new();
-            for &f in &faces {
-                let points = self.mesh.points_of(f);
-                let was = points.map(|p| match self.row_of[p as usize] {
-                    NONE => self.mesh.position(p),
-                    row => before[row as usize],
-                });
-                let now = self.mesh.corner_positions(f);
-                if was != now && !triangle::turns_little(was, now, LEAST_COSINE) {
-                    back.extend(points.iter().filter(|&&p| self.row_of[p as usize] != NONE));
-                }
-            }
+            let is_over = self.turned_over(&faces, |p| self.mesh.position(p));
+            let worse = (0..faces.len()).filter(|&k| is_over[k] && !was_over[k]);
             let mut changed = false;
-            for p in back {
-                let was = before[self.row_of[p as usize] as usize];
-                let point = &mut self.mesh.points[p as usize];
-                changed |= point.position != was;
-                point.position = was;
+            for p in worse.flat_map(|k| self.mesh.points_of(faces[k])).collect::<Vec<u32>>() {
+                if let Some(&was) = before.get(self.row_of[p as usize] as usize) {
+                    let point = &mut self.mesh.points[p as usize];
+                    changed |= point.position != was;
+                    point.position = was;
+                }
             }
             if !changed {
                 break;
             }
         }
+    }
+
+    /// Which of some faces look away from the mean normal of the faces around their corners, were the points at these places.
+    fn turned_over(&self, faces: &[u32], at: impl Fn(u32) -> DVec3) -> Vec<bool> {
+        let area_normal = |f: u32| triangle::area_normal(self.mesh.points_of(f).map(&at));
+        let mut normals = vec![DVec3::ZERO; self.mesh.points.len()];
+        for (f, face) in (0u32..).zip(&self.mesh.faces) {
+            let normal = area_normal(f);
+            face.points.iter().for_each(|&p| normals[p as usize] += normal);
+        }
+        let looks_away = |&f: &u32| {
+            let around: DVec3 = self.mesh.points_of(f).iter().map(|&p| normals[p as usize]).sum();
+            area_normal(f).dot(around) <= 0.0
+        };
+        faces.iter().map(looks_away).collect()
     }
 
     /// Gives each part that hangs together by points that move the volume that it had.
