@@ -242,6 +242,7 @@ fn operations(shape: &Shape, edge: f64) -> Vec<(&'static str, Vec<Edit>)> {
         along: CutLine::Plane(Plane::new(DVec3::new(0.1, 1.0, 0.05), 0.07)),
         keep,
         fill,
+        cap: None,
     };
     let subdivide = |region, scheme| Edit::Subdivide {
         region,
@@ -281,7 +282,16 @@ fn operations(shape: &Shape, edge: f64) -> Vec<(&'static str, Vec<Edit>)> {
         ("both sides", vec![plane(KeptSide::Both, true)]),
         ("delete", vec![delete(false)]),
         ("delete and fill", vec![delete(true)]),
-        ("fill", vec![delete(false), Edit::Fill { region: None }]),
+        (
+            "fill",
+            vec![
+                delete(false),
+                Edit::Fill {
+                    region: None,
+                    cap: None,
+                },
+            ],
+        ),
         (
             "curve",
             vec![Edit::InsertCurve {
@@ -298,6 +308,7 @@ fn operations(shape: &Shape, edge: f64) -> Vec<(&'static str, Vec<Edit>)> {
                 },
                 keep: KeptSide::Both,
                 fill: false,
+                cap: None,
             }],
         ),
         ("merge", vec![merged(shape, MergeJoin::Loose)]),

@@ -33,6 +33,7 @@ fn operations() -> Vec<(&'static str, Vec<Edit>)> {
         along: CutLine::Plane(Plane::new([0.0, 0.3, 1.0], 1.3)),
         keep,
         fill,
+        cap: None,
     };
     let merge = ModelMerge {
         files: bench::obj(&shapes::box_with_cells(DVec3::splat(0.5), [1; 3])),
@@ -76,7 +77,10 @@ fn operations() -> Vec<(&'static str, Vec<Edit>)> {
                     region: side(),
                     fill: false,
                 },
-                Edit::Fill { region: None },
+                Edit::Fill {
+                    region: None,
+                    cap: None,
+                },
             ],
         ),
         ("remesh", vec![remesh(None, 0.2)]),

@@ -236,6 +236,7 @@ fn an_edit_changes_the_body_and_leaves_what_rides_along_in_its_place() {
         along: CutLine::Plane(Plane::new([0.0, 1.0, 0.0], 2.5)),
         keep: KeptSide::Below,
         fill: true,
+        cap: None,
     };
     let halves = Edit::Subdivide {
         region: Some(Region::half_space([0.0, 1.0, 0.0], 1.6)),

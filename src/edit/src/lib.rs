@@ -13,7 +13,7 @@
 //! | `patch` | the patch, and applying it |
 //! | `region_mesh` | the one structure that operations change faces in |
 //! | `cut` | planes, curves along the surface, caps over what a cut opens |
-//! | `fill` | deleting faces, filling holes |
+//! | `fill`, `flat_fill` | deleting faces, filling holes |
 //! | `remesh`, `decimate`, `subdivide` | other triangles for the same shape |
 //! | `smooth` | the same triangles for a smoother shape |
 //! | `stitch`, `weld` | joining boundaries and points |
@@ -26,6 +26,7 @@ mod creases;
 mod cut;
 mod decimate;
 mod fill;
+mod flat_fill;
 mod patch;
 mod region_mesh;
 mod remesh;
@@ -41,6 +42,7 @@ pub use creases::CreaseOptions;
 pub use cut::{CutOptions, CutPlane, KeptSide, MOST_POINTS, SurfaceCurve, cut_along_curve, cut_by_plane, insert_curve};
 pub use decimate::decimate_region;
 pub use fill::{delete_faces, fill_holes};
+pub use flat_fill::fill_holes_flat;
 pub use patch::{BlendedVertex, EditWarning, NewTriangle, NewVertex, PatchedSurface, SurfacePatch, apply_patch};
 pub use pliant_mesh::Error;
 pub use remesh::{

@@ -8,7 +8,7 @@ use glam::{DMat3, DMat4, DVec3, DVec4};
 use pb::edit_request::{self as message, Operation};
 use pliant_asset::{FileSet, Format};
 use pliant_core::engine::{
-    Creases, CutLine, Edit, EditKind, EditReport, EditedShape, MergeJoin, MeshCounts, ModelMerge, Region,
+    Creases, CutLine, Edit, EditKind, EditReport, EditedShape, MergeJoin, MeshCounts, ModelMerge, OwnCap, Region,
     RemeshCommand, SmoothCommand, SmoothKind,
 };
 use pliant_edit::{KeptSide, MOST_POINTS, SubdivisionScheme};
@@ -43,6 +43,7 @@ pub fn edit(request: &pb::EditRequest, other: Option<&FileSet>) -> Result<(Edit,
         },
         Some(Operation::Fill(fill)) => Edit::Fill {
             region: optional_region(fill.region.as_ref(), "fill.region")?,
+            cap: own_cap(fill.cap, &fill.material, "fill")?,
         },
         Some(Operation::Remesh(remesh)) => self::remesh(remesh)?,
         Some(Operation::Smooth(smooth)) => self::smooth(smooth)?,
@@ -132,9 +133,38 @@ fn cut(cut: &message::Cut) -> Result<Edit, Error> {
             closed: cut.closed,
         }
     };
-    let fill = cut.fill;
-    Ok(Edit::Cut { along, keep, fill })
+    let cap = own_cap(cut.cap, &cut.material, "cut")?;
+    if cap.is_some() && !cut.fill {
+        return Err(Error::invalid("cut.cap", "is FLAT, but there is no cap without fill"));
+    }
+    Ok(Edit::Cut {
+        along,
+        keep,
+        fill: cut.fill,
+        cap,
+    })
 }
+
+/// The cap that is asked for, when it is to have a material of its own.
+fn own_cap(cap: i32, material: &str, place: &str) -> Result<Option<OwnCap>, Error> {
+    match enumerated(cap, &format!("{place}.cap"))? {
+        message::Cap::Continued if !material.is_empty() => {
+            let problem = format!("is \"{material}\", but only a FLAT cap has a material of its own");
+            Err(Error::invalid(format!("{place}.material"), problem))
+        }
+        message::Cap::Continued => Ok(None),
+        message::Cap::Flat if material.len() > MOST_NAME || material.chars().any(char::is_control) => {
+            let problem = format!("allowed are names of up to {MOST_NAME} bytes without control characters");
+            Err(Error::invalid(format!("{place}.material"), problem))
+        }
+        message::Cap::Flat => Ok(Some(OwnCap {
+            material: if material.is_empty() { "cap" } else { material }.to_owned(),
+        })),
+    }
+}
+
+/// The longest name of a material, bytes.
+const MOST_NAME: usize = 256;
 
 fn line(values: &[f64], field: &str, closed: bool) -> Result<Vec<DVec3>, Error> {
     let least = if closed { 3 } else { 2 };

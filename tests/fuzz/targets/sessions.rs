@@ -193,6 +193,7 @@ pub(super) fn edit(draw: &mut ByteDraw<'_>) -> Edit {
             along: CutLine::Plane(Plane::new(draw.vector(), draw.number())),
             keep: kept_side(draw),
             fill: draw.flag(),
+            cap: None,
         },
         1 => Edit::Cut {
             along: CutLine::Polyline {
@@ -201,6 +202,7 @@ pub(super) fn edit(draw: &mut ByteDraw<'_>) -> Edit {
             },
             keep: kept_side(draw),
             fill: draw.flag(),
+            cap: None,
         },
         2 => Edit::Cut {
             along: CutLine::Path {
@@ -209,6 +211,7 @@ pub(super) fn edit(draw: &mut ByteDraw<'_>) -> Edit {
             },
             keep: kept_side(draw),
             fill: draw.flag(),
+            cap: None,
         },
         3 => Edit::Subdivide {
             region: somewhere(draw),
@@ -228,6 +231,7 @@ pub(super) fn edit(draw: &mut ByteDraw<'_>) -> Edit {
         },
         7 => Edit::Fill {
             region: somewhere(draw),
+            cap: None,
         },
         8 => Edit::Remesh(RemeshCommand {
             region: somewhere(draw),

@@ -75,6 +75,10 @@ class Fill(TypedDict, total=False):
     """Closes holes."""
 
     region: RegionLike
+    #: Flat caps have a material and texture coordinates of their own.
+    cap: Literal["continued", "flat"]
+    #: The name of that material; "cap" where it is not given.
+    material: str
 
 
 class Remesh(TypedDict, total=False):
@@ -204,7 +208,7 @@ def _fill(name: str, operation: Any, given: dict[str, Any], count: int | None) -
     for key, value in given.items():
         if key == "region":
             operation.region.CopyFrom(region(value, count))
-        elif key in ("keep", "scheme", "how", "kind"):
+        elif key in ("keep", "scheme", "how", "kind", "cap"):
             setattr(operation, key, enum(key, _ENUMS[key], value))
         elif key == "plane" and name == "cut":
             operation.plane.CopyFrom(plane(value))
@@ -236,6 +240,7 @@ _ENUMS: dict[str, Any] = {
     "scheme": pb.EditRequest.Subdivide.Scheme,
     "how": pb.EditRequest.Merge.How,
     "kind": pb.EditRequest.Smooth.Kind,
+    "cap": pb.EditRequest.Cap,
 }
 
 

@@ -24,6 +24,8 @@ pub enum Edit {
         keep: KeptSide,
         /// Whether the cut is closed by a cap.
         fill: bool,
+        /// A material of its own for the cap; `None`: it continues the surface.
+        cap: Option<OwnCap>,
     },
     /// Splits triangles.
     Subdivide {
@@ -57,6 +59,8 @@ pub enum Edit {
     Fill {
         /// Where; `None` closes all.
         region: Option<Region>,
+        /// Flat caps with a material of their own; `None`: caps continue the surface.
+        cap: Option<OwnCap>,
     },
     /// Evens out triangles.
     Remesh(RemeshCommand),
@@ -76,6 +80,13 @@ pub enum Edit {
         /// The largest distance, in model units.
         tolerance: f64,
     },
+}
+
+/// A cap with a primitive, a material and texture coordinates of its own.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct OwnCap {
+    /// The name of the material.
+    pub material: String,
 }
 
 /// Which edges a subdivision leaves sharp.
@@ -294,6 +305,14 @@ impl EditKind {
 }
 
 impl Edit {
+    /// The caps with a material of their own that it makes, if any.
+    pub(super) fn own_cap(&self) -> Option<&OwnCap> {
+        match self {
+            Self::Cut { cap, fill: true, .. } | Self::Fill { cap, .. } => cap.as_ref(),
+            _ => None,
+        }
+    }
+
     /// Returns the kind of the edit.
     pub fn kind(&self) -> EditKind {
         match self {

@@ -163,6 +163,17 @@ impl EditSurface {
         self.primitives.iter().map(|p| p.first_vertex).collect()
     }
 
+    /// Appends a primitive without vertices that is as another one is but for its name.
+    pub fn add_empty_primitive(&mut self, like: u32, name: &str) {
+        self.primitives.push(Primitive {
+            name: name.to_owned(),
+            first_vertex: self.positions.len() as u32,
+            vertex_count: 0,
+            index_count: 0,
+            ..self.primitives[like as usize].clone()
+        });
+    }
+
     /// Appends another surface, whose vertices were put in place before.
     pub fn append(&mut self, other: &EditSurface) {
         let (vertices, primitives) = (self.positions.len() as u32, self.primitives.len() as u32);

@@ -27,6 +27,7 @@
 //! on the way. What depends on the model is checked here; an [`Error`] names the field of the request.
 
 mod animation;
+mod cap_coordinates;
 mod carry;
 mod deformer;
 mod derived_structures;
@@ -61,7 +62,7 @@ pub use animation::{
 pub use deformer::Deformer;
 pub use edit_command::{
     Creases, CutLine, Edit, EditCommand, EditKind, EditOutcome, EditReport, EditedShape, KeptVertexRun, MergeJoin,
-    ModelMerge, RemeshCommand, SmoothCommand, SmoothKind,
+    ModelMerge, OwnCap, RemeshCommand, SmoothCommand, SmoothKind,
 };
 pub use error::Error;
 pub use facts::{

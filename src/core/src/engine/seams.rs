@@ -114,15 +114,36 @@ impl Seams {
         }
     }
 
-    /// Gives the attributes that a vertex takes to all that it stands for.
-    pub fn spread_blends(&self, patch: &mut SurfacePatch) {
+    /// Gives the attributes that a vertex takes to all that it stands for. Where the surface is shaded flat all corners of
+    /// `triangles`, those of the surface, that have turned show it.
+    pub fn spread_blends(&self, patch: &mut SurfacePatch, triangles: &[[u32; 3]]) {
         if self.is_empty() || patch.blended.is_empty() {
             return;
         }
         let taken = std::mem::take(&mut patch.blended);
+        let place = |first: u32| taken.binary_search_by_key(&first, |b| b.vertex);
+        let mut turned = vec![false; self.stands_for.len()];
+        for t in triangles
+            .iter()
+            .filter(|t| t.iter().any(|&v| place(self.first_of(v)).is_ok()))
+        {
+            t.iter().for_each(|&v| turned[v as usize] = true);
+        }
         for (vertex, &first) in (0u32..).zip(&self.stands_for) {
-            if let Ok(k) = taken.binary_search_by_key(&first, |b| b.vertex) {
-                patch.blended.push(BlendedVertex { vertex, ..taken[k] });
+            let own = BlendedVertex {
+                vertex,
+                of: [vertex; 3],
+                weights: [1.0, 0.0, 0.0],
+                flat: self.is_facet(first),
+            };
+            match place(first) {
+                Ok(k) => patch.blended.push(BlendedVertex {
+                    of: taken[k].of,
+                    weights: taken[k].weights,
+                    ..own
+                }),
+                Err(_) if turned[vertex as usize] && own.flat => patch.blended.push(own),
+                Err(_) => {}
             }
         }
     }

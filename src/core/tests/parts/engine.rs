@@ -227,6 +227,7 @@ fn what_a_cut_has_separated_is_not_tied_again_but_all_else_is() {
         along: CutLine::Plane(Plane::new([0.0, 1.0, 0.0], 0.3)),
         keep: KeptSide::Both,
         fill: true,
+        cap: None,
     };
     deformer.edit_rest(&cut, &exec).expect("cut");
     let graph = &deformer.body().graph;

@@ -124,7 +124,9 @@ impl ResolvedPatch {
                     ));
                 }
             }
-            let run = run_of(first_vertex, surface.positions.len(), v.primitive);
+            let cap = patch.caps.iter().find(|cap| cap.0 == v.primitive);
+            let lender = cap.map_or(v.primitive, |cap| cap.1);
+            let run = run_of(first_vertex, surface.positions.len(), lender);
             check_blend(&run, v.of, v.weights).or_else(refuse)?;
         }
         let mut last = None;

@@ -73,7 +73,8 @@ pub struct NewVertex {
     pub point: u32,
     /// Where it is.
     pub position: DVec3,
-    /// The old render vertices, of the same primitive, that its attributes are blended from. Entries of weight 0 are
+    /// The old render vertices, of the same primitive or, for one of [`SurfacePatch::caps`], the one that it is given, that
+    /// its attributes are blended from. Entries of weight 0 are
     /// ignored; the weights are not negative and sum to 1.
     pub of: [u32; 3],
     /// Their weights.
@@ -96,6 +97,8 @@ pub struct BlendedVertex {
     pub of: [u32; 3],
     /// As [`NewVertex::weights`].
     pub weights: [f64; 3],
+    /// Whether it shows the normal of its triangle instead of a blended one.
+    pub flat: bool,
 }
 
 impl BlendedVertex {
@@ -138,6 +141,8 @@ pub struct SurfacePatch {
     pub warnings: Vec<EditWarning>,
     /// Points along an inserted curve, in order, in the numbers after the edit.
     pub curve: Vec<u32>,
+    /// Primitives that come, after the old ones, and the old primitives whose vertices theirs are blended from.
+    pub caps: Vec<(u32, u32)>,
     /// Edges that stay sharp in a subdivision, by their ends, in the numbers after the edit.
     pub creases: Vec<[u32; 2]>,
     /// Of a remesh or relaxation: the largest distance between the surface before and after.

@@ -270,7 +270,16 @@ impl RegionMesh {
                 let Wedge { of, weights, .. } = self.wedges[face.wedges[k] as usize];
                 let is_itself = |(v, w): (u32, f64)| w == 0.0 || v == vertex;
                 if !of.into_iter().zip(weights).all(is_itself) {
-                    blended.insert(vertex, BlendedVertex { vertex, of, weights });
+                    let flat = false;
+                    blended.insert(
+                        vertex,
+                        BlendedVertex {
+                            vertex,
+                            of,
+                            weights,
+                            flat,
+                        },
+                    );
                 }
             }
         }
