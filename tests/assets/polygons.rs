@@ -229,6 +229,7 @@ fn without_triangles(model: &Model, lost: &[bool], format: Format) -> Vec<u8> {
         triangles: &triangles,
         origins: &origins,
         bare: &[],
+        caps: Default::default(),
     };
     write_edited_model(&edited, &model.positions, format)
         .expect("writable")

@@ -273,6 +273,7 @@ fn a_skeleton_follows_through_an_edit_of_the_topology() {
             triangles: &triangles,
             origins: &[],
             bare: &[],
+            caps: Default::default(),
         };
         let wanted = Reshaping::Turned.of(&model.positions);
         let written = write_edited_model(&edited, &wanted, model.format).expect("writable");

@@ -570,7 +570,7 @@ proptest! {
             }]
         };
         let bases = [at_rest(&model)];
-        let remade = EditedModel { bases: &bases, runs: &runs, blends: &recipes, triangles: &triangles, origins: &origins, bare: &[] };
+        let remade = EditedModel { bases: &bases, runs: &runs, blends: &recipes, triangles: &triangles, origins: &origins, bare: &[], caps: Default::default() };
         match write_edited_model(&remade, &positions, Format::ALL[format]) {
             // A triangle with a corner twice is not an error, but the readers may leave it out.
             Ok(written) => drop(Model::read(

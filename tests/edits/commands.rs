@@ -49,7 +49,7 @@ fn subdivide(region: Option<pb::Region>, scheme: subdivide::Scheme) -> pb::EditR
     request(Operation::Subdivide(pb::edit_request::Subdivide {
         region,
         scheme: scheme.into(),
-        auto: false,
+        ..Default::default()
     }))
 }
 

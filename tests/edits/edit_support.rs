@@ -94,7 +94,12 @@ pub fn topology(model: &Model) -> SurfaceTopology {
 
 /// What a cut does with its sides, in one line.
 pub fn cut_options(keep: KeptSide, fill: bool, hard_caps: &[bool]) -> CutOptions<'_> {
-    CutOptions { keep, fill, hard_caps }
+    CutOptions {
+        keep,
+        fill,
+        hard_caps,
+        own_caps: None,
+    }
 }
 
 /// The volume that a model encloses.

@@ -8,7 +8,7 @@ use pliant::deform::VolumeMode;
 use pliant::edit::{KeptSide, SubdivisionScheme};
 use pliant::engine::{
     CutLine, Deformer, DeformerLimits, Edit, EditReport, Handle, HandlePose, MergeJoin, ModelMerge, OpenOptions, Plane,
-    Region, RemeshCommand, SolveSettings,
+    Region, RemeshCommand, SmoothCommand, SmoothKind, SolveSettings,
 };
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -185,6 +185,14 @@ fn remesh(length: f64) -> Edit {
     })
 }
 
+fn smooth(kind: SmoothKind, region: Option<Region>) -> Edit {
+    Edit::Smooth(SmoothCommand {
+        region,
+        kind,
+        ..SmoothCommand::default()
+    })
+}
+
 /// The triangles by the places of their corners, in an order of their own.
 fn surface(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<[[u64; 3]; 3]> {
     let place = |v: u32| (positions[v as usize] + DVec3::ZERO).to_array().map(f64::to_bits);
@@ -234,8 +242,13 @@ fn operations(shape: &Shape, edge: f64) -> Vec<(&'static str, Vec<Edit>)> {
         along: CutLine::Plane(Plane::new(DVec3::new(0.1, 1.0, 0.05), 0.07)),
         keep,
         fill,
+        cap: None,
     };
-    let subdivide = |region, scheme| Edit::Subdivide { region, scheme };
+    let subdivide = |region, scheme| Edit::Subdivide {
+        region,
+        scheme,
+        creases: Default::default(),
+    };
     let delete = |fill| Edit::Delete { region: top(), fill };
     // Around the shape, near enough to it.
     let around: Vec<DVec3> = (0..8)
@@ -259,6 +272,9 @@ fn operations(shape: &Shape, edge: f64) -> Vec<(&'static str, Vec<Edit>)> {
             "loop of a region",
             vec![subdivide(Some(top()), SubdivisionScheme::Loop)],
         ),
+        ("smooth", vec![smooth(SmoothKind::Smooth, None)]),
+        ("smooth a region", vec![smooth(SmoothKind::Smooth, Some(top()))]),
+        ("relax", vec![smooth(SmoothKind::Relax, None)]),
         ("weld", vec![Edit::Weld { tolerance: 1e-6 }]),
         ("coarse weld", vec![Edit::Weld { tolerance: 0.5 * edge }]),
         ("cut", vec![plane(KeptSide::Below, false)]),
@@ -266,7 +282,16 @@ fn operations(shape: &Shape, edge: f64) -> Vec<(&'static str, Vec<Edit>)> {
         ("both sides", vec![plane(KeptSide::Both, true)]),
         ("delete", vec![delete(false)]),
         ("delete and fill", vec![delete(true)]),
-        ("fill", vec![delete(false), Edit::Fill { region: None }]),
+        (
+            "fill",
+            vec![
+                delete(false),
+                Edit::Fill {
+                    region: None,
+                    cap: None,
+                },
+            ],
+        ),
         (
             "curve",
             vec![Edit::InsertCurve {
@@ -283,6 +308,7 @@ fn operations(shape: &Shape, edge: f64) -> Vec<(&'static str, Vec<Edit>)> {
                 },
                 keep: KeptSide::Both,
                 fill: false,
+                cap: None,
             }],
         ),
         ("merge", vec![merged(shape, MergeJoin::Loose)]),
@@ -558,6 +584,7 @@ fn handles_hold_what_they_held_of_a_soup() {
         let split = Edit::Subdivide {
             region: None,
             scheme: SubdivisionScheme::Midpoint,
+            creases: Default::default(),
         };
         let report = edit(&mut deformer, &split).expect("split");
         assert_eq!(report.handles_kept, ["base", "top"]);

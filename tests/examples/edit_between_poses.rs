@@ -28,6 +28,7 @@ pub fn cut_and_turn() -> Result<(EditReport, ModelShape), Box<dyn Error>> {
         along: CutLine::Plane(Plane::new([0.0, 1.0, 0.0], 0.4)),
         keep: KeptSide::Above,
         fill: true,
+        cap: None,
     };
     let outcome = deformer.edit_rest(&cut, &exec)?;
     // The handles are still there, in the new numbers of their vertices.

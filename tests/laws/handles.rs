@@ -322,7 +322,12 @@ fn an_edit_carries_a_handle_that_holds_nodes_inside_alone() {
     let before = bench.facts().handles[1].interior_nodes;
     let region = Some(Region::half_space([0.0, 0.0, 1.0], 3.0));
     let scheme = SubdivisionScheme::Midpoint;
-    let edit = Edit::Subdivide { region, scheme };
+    let creases = Default::default();
+    let edit = Edit::Subdivide {
+        region,
+        scheme,
+        creases,
+    };
     let exec_pool = pool(2);
     let edited = bench.edit_rest(&edit, &Exec::new(&exec_pool, &Silent));
     let outcome = edited.expect("edited");

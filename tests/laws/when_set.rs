@@ -7,7 +7,7 @@ use pliant::batch;
 use pliant::edit::{KeptSide, SubdivisionScheme};
 use pliant::engine::{
     CutLine, Deformer, DeformerLimits, Edit, EditCommand, EditOutcome, EditedShape, Handle, HandlePose, HandleSet,
-    MergeJoin, ModelMerge, ModelShape, Plane, Region, RemeshCommand, SolveSettings,
+    MergeJoin, ModelMerge, ModelShape, Plane, Region, RemeshCommand, SmoothCommand, SmoothKind, SolveSettings,
 };
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -33,6 +33,7 @@ fn operations() -> Vec<(&'static str, Vec<Edit>)> {
         along: CutLine::Plane(Plane::new([0.0, 0.3, 1.0], 1.3)),
         keep,
         fill,
+        cap: None,
     };
     let merge = ModelMerge {
         files: bench::obj(&shapes::box_with_cells(DVec3::splat(0.5), [1; 3])),
@@ -49,7 +50,11 @@ fn operations() -> Vec<(&'static str, Vec<Edit>)> {
             ..RemeshCommand::default()
         })
     };
-    let subdivide = |region, scheme| Edit::Subdivide { region, scheme };
+    let subdivide = |region, scheme| Edit::Subdivide {
+        region,
+        scheme,
+        creases: Default::default(),
+    };
     vec![
         ("cut", vec![cut(KeptSide::Above, true)]),
         ("cut in two", vec![cut(KeptSide::Both, false)]),
@@ -72,10 +77,22 @@ fn operations() -> Vec<(&'static str, Vec<Edit>)> {
                     region: side(),
                     fill: false,
                 },
-                Edit::Fill { region: None },
+                Edit::Fill {
+                    region: None,
+                    cap: None,
+                },
             ],
         ),
         ("remesh", vec![remesh(None, 0.2)]),
+        ("smooth", vec![Edit::Smooth(SmoothCommand::default())]),
+        (
+            "relax a part",
+            vec![Edit::Smooth(SmoothCommand {
+                region: Some(side()),
+                kind: SmoothKind::Relax,
+                ..SmoothCommand::default()
+            })],
+        ),
         ("remesh a part", vec![remesh(Some(side()), 0.15)]),
         ("merge", vec![Edit::Merge(Box::new(merge))]),
         (
@@ -267,6 +284,7 @@ fn undo_and_redo_lead_to_what_handles_hold_when_they_are_set_there() {
         let edit = Edit::Subdivide {
             region: Some(Region::sphere([1.0, 0.5, 2.0], 0.5)),
             scheme: SubdivisionScheme::Midpoint,
+            creases: Default::default(),
         };
         deformer.edit_rest(&edit, &story.exec).expect("edited");
         let edited = (deformer.topology_state(), deformer.handles().clone());

@@ -99,6 +99,7 @@ impl Edited {
             triangles: &self.triangles,
             origins: &[],
             bare: &[],
+            caps: Default::default(),
         }
     }
 

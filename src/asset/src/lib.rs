@@ -38,7 +38,7 @@ mod usd;
 mod vertex_attributes;
 mod write;
 
-pub use edited::{BaseModel, EditedModel, PrimitiveRun, VertexBlend, VertexBlends};
+pub use edited::{BaseModel, CapLooks, EditedModel, PrimitiveRun, VertexBlend, VertexBlends};
 pub use files::{FileSet, Limits, WrittenFiles};
 pub use following::{
     BoneLengthRule, FollowedCounts, Following, JointTravel, ModelNode, MorphTargetRule, NodeMotions, RigRule,

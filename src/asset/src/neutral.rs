@@ -3,7 +3,7 @@
 //! Texture coordinates count from the upper left corner of the picture, as in glTF.
 
 use super::edited::{CarriedAttributes, EditedModel, PrimitiveRun, RunFaces};
-use super::look::NamedMaterial;
+use super::look::{BaseLook, NamedMaterial};
 use super::{Error, Format, Geometry, Primitive};
 use glam::{DVec3, Vec3};
 use std::collections::BTreeMap;
@@ -54,6 +54,27 @@ pub(super) struct RunAttributes {
     pub material: Option<Arc<NamedMaterial>>,
     /// Its faces, where some have more than three corners.
     pub faces: Option<RunFaces>,
+}
+
+/// The colour of caps with a material of their own, as a glTF's base colour.
+pub(super) const CAP_COLOUR: [f32; 4] = [0.8, 0.8, 0.8, 1.0];
+
+impl RunAttributes {
+    /// Those of a cap with a material of its own.
+    pub fn of_cap(material: &str, uv: &[[f32; 2]]) -> Self {
+        let look = BaseLook {
+            colour: CAP_COLOUR,
+            ..BaseLook::default()
+        };
+        Self {
+            uv: uv.to_vec(),
+            material: Some(Arc::new(NamedMaterial {
+                name: material.to_owned(),
+                look: Some(look),
+            })),
+            ..Self::default()
+        }
+    }
 }
 
 /// A run of an edited model, or a part of it: its vertices, some of which may be copied so that all corners at one are alike.

@@ -1,11 +1,11 @@
 //! The ways in and out: which codec reads a model, and which one writes it, by patching, building or editing.
 
 use super::codec::{EditedOutput, PatchedOutput, Translation};
-use super::edited::{self, BaseModel, CarriedAttributes, EditedModel, PrimitiveRun, RunFaces, VertexBlends};
+use super::edited::{self, BaseModel, CapLooks, CarriedAttributes, EditedModel, PrimitiveRun, RunFaces, VertexBlends};
 use super::files::ReadWatch;
 use super::formats::{codec_of, translator_of, writer_of};
 use super::model::is_same;
-use super::neutral::{NeutralModel, RunPart};
+use super::neutral::{NeutralModel, RunAttributes, RunPart};
 use super::{
     Error, FileSet, Following, Format, Limits, Model, ModelNode, ShapeFollowers, VertexAttributes, WrittenFiles,
 };
@@ -251,7 +251,7 @@ pub fn missing_companions(files: &FileSet) -> Vec<String> {
 /// A triangle is cut in two: the new vertex lies in the middle of an edge, and its colour between those of the ends.
 /// ```
 /// use glam::{DAffine3, DVec3};
-/// use pliant_asset::{BaseModel, EditedModel, FileSet, Format, Limits, Model, PrimitiveRun, VertexBlends};
+/// use pliant_asset::{BaseModel, CapLooks, EditedModel, FileSet, Format, Limits, Model, PrimitiveRun, VertexBlends};
 ///
 /// let text = "v 0 0 0 1 0 0\nv 1 0 0 0 0 1\nv 0 1 0 0 0 0\nf 1 2 3\n";
 /// let model = Model::read(FileSet::single("one.obj", text), None, &Limits::default())?;
@@ -264,6 +264,7 @@ pub fn missing_companions(files: &FileSet) -> Vec<String> {
 ///     triangles: &[[0, 3, 2], [3, 1, 2]],
 ///     origins: &[],
 ///     bare: &[],
+///     caps: CapLooks::default(),
 /// };
 /// let positions = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::X * 0.5];
 /// let written = pliant_asset::write_edited_model(&edited, &positions, Format::OBJ)?;
@@ -395,6 +396,7 @@ pub(super) fn neutral_model(model: &Model, positions: &[DVec3], format: Format) 
         triangles: &geometry.triangles,
         origins: &[],
         bare: &[],
+        caps: CapLooks::default(),
     };
     neutral_edited_model(&edited, positions, format)
 }
@@ -417,7 +419,8 @@ fn add_base(
     let mut attributes = None;
     for &run in &runs {
         let mut parts = None;
-        if divides {
+        let cap = edited.cap_material(run);
+        if divides && cap.is_none() {
             parts = source.seam_parts(edited, run, positions)?;
         }
         if parts.is_none() {
@@ -425,7 +428,11 @@ fn add_base(
                 Some(attributes) => attributes,
                 none => none.insert(source.run_attributes(edited, &runs)?.into_iter()),
             };
-            let mut part = RunPart::of_run(edited, run, positions, attributes.next().unwrap_or_default());
+            let mut own = attributes.next().unwrap_or_default();
+            if let Some(name) = cap {
+                own = RunAttributes::of_cap(name, edited.cap_uv(run));
+            }
+            let mut part = RunPart::of_run(edited, run, positions, own);
             if divides && !part.attributes.corner_uv.is_empty() {
                 part.divide();
             } else {

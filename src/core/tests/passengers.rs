@@ -236,10 +236,12 @@ fn an_edit_changes_the_body_and_leaves_what_rides_along_in_its_place() {
         along: CutLine::Plane(Plane::new([0.0, 1.0, 0.0], 2.5)),
         keep: KeptSide::Below,
         fill: true,
+        cap: None,
     };
     let halves = Edit::Subdivide {
         region: Some(Region::half_space([0.0, 1.0, 0.0], 1.6)),
         scheme: SubdivisionScheme::Midpoint,
+        creases: Default::default(),
     };
     let thin = Edit::Decimate {
         region: None,

@@ -6,8 +6,10 @@
 //!
 //! Edges split until what is given at their ends differs little enough, and until they are short enough for it to show.
 //!
-//! Loop's masks ("Smooth Subdivision Surfaces Based on Triangles", 1987; boundaries after Hoppe et al. 1994).
+//! Loop's masks ("Smooth Subdivision Surfaces Based on Triangles", 1987; boundaries after Hoppe et al. 1994), with creases
+//! that are sharp or soft (`creases`).
 
+use super::creases::{CreaseEdges, CreaseOptions};
 use super::patch::{EditWarning, NewTriangle, NewVertex, SurfacePatch};
 use super::region_mesh::{RegionMesh, edge_key};
 use super::remesh::MOST_TRIANGLES;
@@ -30,14 +32,16 @@ pub enum SubdivisionScheme {
 }
 
 /// Divides `faces`, rising triangle numbers. Attributes of a new vertex are half and half those at the ends of its edge.
+/// With [`SubdivisionScheme::Loop`] edges that are `creases` keep an edge; the patch names what became of them.
 ///
 /// # Errors
-/// [`Error::Invalid`] when `faces` is not a region or has no triangle with three points; [`Error::TooLarge`] beyond
-/// what 32-bit numbers count; [`Error::Cancelled`].
+/// [`Error::Invalid`] when `faces` is not a region or has no triangle with three points, and for creases that are none;
+/// [`Error::TooLarge`] beyond what 32-bit numbers count; [`Error::Cancelled`].
 pub fn subdivide_region(
     surface: &SurfaceView,
     faces: &[u32],
     scheme: SubdivisionScheme,
+    creases: &CreaseOptions<'_>,
     progress: &dyn Progress,
 ) -> Result<SurfacePatch, Error> {
     let mesh = RegionMesh::with_frozen_ring(surface, faces)?;
@@ -60,11 +64,15 @@ pub fn subdivide_region(
         true => check(progress),
         false => Ok(()),
     };
+    let creases = CreaseEdges::find(surface, &mesh, &edges, creases)?;
     let mut middles = Vec::with_capacity(edges.len());
     for (k, &(a, b)) in edges.iter().enumerate() {
         check_at(k)?;
         middles.push(match scheme {
             SubdivisionScheme::Midpoint => edge_middle(&mesh, a, b),
+            SubdivisionScheme::Loop if creases.contains(a, b) => {
+                creases.sharpened(place_new_point(&mesh, a, b), edge_middle(&mesh, a, b))
+            }
             SubdivisionScheme::Loop => place_new_point(&mesh, a, b),
         });
     }
@@ -83,11 +91,23 @@ pub fn subdivide_region(
         division.divide_face(f);
     }
     let mut patch = division.patch;
+    patch.creases = (creases.divided(&edges))
+        .flat_map(|(a, b, edge)| {
+            let middle = division.points[edge];
+            let halves = [a, b].map(|p| [mesh.points[p as usize].old, middle]);
+            halves.into_iter().filter(move |_| middle != NONE)
+        })
+        .collect();
     patch.removed.sort_unstable();
     if scheme == SubdivisionScheme::Loop {
         for (p, point) in (0u32..).zip(&mesh.points) {
             check_at(p as usize)?;
-            if let Some(to) = place_old_point(&mesh, p).filter(|to| *to != point.position) {
+            let smooth = place_old_point(&mesh, p);
+            let place = smooth.map(|smooth| match place_on_crease(&mesh, &creases, p) {
+                Some(sharp) => creases.sharpened(smooth, sharp),
+                None => smooth,
+            });
+            if let Some(to) = place.filter(|to| *to != point.position) {
                 patch.moved.push((point.old, to));
             }
         }
@@ -441,6 +461,25 @@ fn place_old_point(mesh: &RegionMesh, p: u32) -> Option<DVec3> {
         }
         (&[a, b], _) => Some(point.position * 0.75 + (mesh.position(a) + mesh.position(b)) * 0.125),
         _ => None,
+    }
+}
+
+/// Where a point goes that creases lead to, were they wholly sharp; `None` where less than two do. Boundaries are creases
+/// as well: where another one meets them the point stays.
+fn place_on_crease(mesh: &RegionMesh, creases: &CreaseEdges, p: u32) -> Option<DVec3> {
+    let along = creases.at(p);
+    if along.is_empty() {
+        return None;
+    }
+    let rim = mesh
+        .neighbours(p)
+        .into_iter()
+        .filter(|&q| mesh.edge_faces(p, q).faces().count() == 1);
+    let sharp: Vec<u32> = rim.chain(along.iter().copied()).collect();
+    match sharp[..] {
+        [] | [_] => None,
+        [a, b] => Some(mesh.position(p) * 0.75 + (mesh.position(a) + mesh.position(b)) * 0.125),
+        _ => Some(mesh.position(p)),
     }
 }
 

@@ -8,7 +8,8 @@ use glam::{DMat3, DMat4, DVec3, DVec4};
 use pb::edit_request::{self as message, Operation};
 use pliant_asset::{FileSet, Format};
 use pliant_core::engine::{
-    CutLine, Edit, EditKind, EditReport, EditedShape, MergeJoin, MeshCounts, ModelMerge, Region, RemeshCommand,
+    Creases, CutLine, Edit, EditKind, EditReport, EditedShape, MergeJoin, MeshCounts, ModelMerge, OwnCap, Region,
+    RemeshCommand, SmoothCommand, SmoothKind,
 };
 use pliant_edit::{KeptSide, MOST_POINTS, SubdivisionScheme};
 
@@ -23,21 +24,12 @@ pub fn edit(request: &pb::EditRequest, other: Option<&FileSet>) -> Result<(Edit,
     };
     let edit = match &request.operation {
         None => {
-            let allowed = "cut, subdivide, decimate, delete, fill, remesh, merge, insertCurve or weld";
+            let allowed = "cut, subdivide, decimate, delete, fill, remesh, smooth, merge, insertCurve or weld";
             let problem = format!("is missing, allowed is one of {allowed}");
             return Err(Error::invalid("operation", problem));
         }
         Some(Operation::Cut(cut)) => self::cut(cut)?,
-        Some(Operation::Subdivide(subdivide)) if subdivide.auto => Edit::SubdivideForPose {
-            region: optional_region(subdivide.region.as_ref(), "subdivide.region")?,
-        },
-        Some(Operation::Subdivide(subdivide)) => Edit::Subdivide {
-            region: optional_region(subdivide.region.as_ref(), "subdivide.region")?,
-            scheme: match enumerated(subdivide.scheme, "subdivide.scheme")? {
-                message::subdivide::Scheme::Loop => SubdivisionScheme::Loop,
-                message::subdivide::Scheme::Midpoint => SubdivisionScheme::Midpoint,
-            },
-        },
+        Some(Operation::Subdivide(subdivide)) => self::subdivide(subdivide)?,
         Some(Operation::Decimate(decimate)) => Edit::Decimate {
             ratio: number(decimate.ratio, "decimate.ratio")?,
             region: optional_region(decimate.region.as_ref(), "decimate.region")?,
@@ -51,8 +43,10 @@ pub fn edit(request: &pb::EditRequest, other: Option<&FileSet>) -> Result<(Edit,
         },
         Some(Operation::Fill(fill)) => Edit::Fill {
             region: optional_region(fill.region.as_ref(), "fill.region")?,
+            cap: own_cap(fill.cap, &fill.material, "fill")?,
         },
         Some(Operation::Remesh(remesh)) => self::remesh(remesh)?,
+        Some(Operation::Smooth(smooth)) => self::smooth(smooth)?,
         Some(Operation::Merge(merge)) => Edit::Merge(Box::new(self::merge(merge, other)?)),
         Some(Operation::InsertCurve(curve)) => Edit::InsertCurve {
             points: line(&curve.points, "insertCurve.points", curve.closed)?,
@@ -74,6 +68,7 @@ pub fn edit_name(edit: &pb::EditRequest) -> &'static str {
         Some(Operation::Delete(_)) => EditKind::Delete.name(),
         Some(Operation::Fill(_)) => EditKind::Fill.name(),
         Some(Operation::Remesh(_)) => EditKind::Remesh.name(),
+        Some(Operation::Smooth(_)) => EditKind::Smooth.name(),
         Some(Operation::Merge(_)) => EditKind::Merge.name(),
         Some(Operation::InsertCurve(_)) => EditKind::InsertCurve.name(),
         Some(Operation::Weld(_)) => EditKind::Weld.name(),
@@ -100,7 +95,9 @@ pub fn edit_result(report: &EditReport) -> pb::EditResult {
             })
             .collect(),
         curve: report.curve.clone(),
+        creases: report.creases.as_flattened().to_vec(),
         deviation: report.deviation,
+        volume_change: report.volume_change,
         digest: report.digest.clone(),
         repaired: report.repaired,
         ..Default::default()
@@ -136,9 +133,38 @@ fn cut(cut: &message::Cut) -> Result<Edit, Error> {
             closed: cut.closed,
         }
     };
-    let fill = cut.fill;
-    Ok(Edit::Cut { along, keep, fill })
+    let cap = own_cap(cut.cap, &cut.material, "cut")?;
+    if cap.is_some() && !cut.fill {
+        return Err(Error::invalid("cut.cap", "is FLAT, but there is no cap without fill"));
+    }
+    Ok(Edit::Cut {
+        along,
+        keep,
+        fill: cut.fill,
+        cap,
+    })
 }
+
+/// The cap that is asked for, when it is to have a material of its own.
+fn own_cap(cap: i32, material: &str, place: &str) -> Result<Option<OwnCap>, Error> {
+    match enumerated(cap, &format!("{place}.cap"))? {
+        message::Cap::Continued if !material.is_empty() => {
+            let problem = format!("is \"{material}\", but only a FLAT cap has a material of its own");
+            Err(Error::invalid(format!("{place}.material"), problem))
+        }
+        message::Cap::Continued => Ok(None),
+        message::Cap::Flat if material.len() > MOST_NAME || material.chars().any(char::is_control) => {
+            let problem = format!("allowed are names of up to {MOST_NAME} bytes without control characters");
+            Err(Error::invalid(format!("{place}.material"), problem))
+        }
+        message::Cap::Flat => Ok(Some(OwnCap {
+            material: if material.is_empty() { "cap" } else { material }.to_owned(),
+        })),
+    }
+}
+
+/// The longest name of a material, bytes.
+const MOST_NAME: usize = 256;
 
 fn line(values: &[f64], field: &str, closed: bool) -> Result<Vec<DVec3>, Error> {
     let least = if closed { 3 } else { 2 };
@@ -159,15 +185,64 @@ fn remesh(remesh: &message::Remesh) -> Result<Edit, Error> {
         (false, 0.0) => return Err(Error::invalid(field, "is missing; give a length or set auto")),
         (false, length) => Some(positive(length, field)?),
     };
-    let option = |value: f64, field: &str| match value {
-        0.0 => Ok(None),
-        given => positive(given, field).map(Some),
-    };
     Ok(Edit::Remesh(RemeshCommand {
         region,
         edge_length,
-        max_deviation: option(remesh.max_deviation, "remesh.maxDeviation")?,
-        sharp_degrees: option(remesh.sharp_degrees, "remesh.sharpDegrees")?,
+        max_deviation: unless_zero(remesh.max_deviation, "remesh.maxDeviation")?,
+        sharp_degrees: unless_zero(remesh.sharp_degrees, "remesh.sharpDegrees")?,
+    }))
+}
+
+fn subdivide(subdivide: &message::Subdivide) -> Result<Edit, Error> {
+    let region = optional_region(subdivide.region.as_ref(), "subdivide.region")?;
+    let scheme = match enumerated(subdivide.scheme, "subdivide.scheme")? {
+        message::subdivide::Scheme::Loop => SubdivisionScheme::Loop,
+        message::subdivide::Scheme::Midpoint => SubdivisionScheme::Midpoint,
+    };
+    let (pairs, rest) = subdivide.creases.as_chunks();
+    if !rest.is_empty() {
+        let seen = subdivide.creases.len();
+        let problem = format!("has {seen} vertices, two are needed for each edge");
+        return Err(Error::invalid("subdivide.creases", problem));
+    }
+    let creases = Creases {
+        degrees: unless_zero(subdivide.crease_degrees, "subdivide.creaseDegrees")?,
+        edges: pairs.to_vec(),
+        between_primitives: subdivide.crease_primitives,
+        sharpness: unless_zero(subdivide.sharpness, "subdivide.sharpness")?,
+    };
+    if creases != Creases::default() && (subdivide.auto || scheme != SubdivisionScheme::Loop) {
+        let problem = "keeps every edge as it is without LOOP; leave the creases out";
+        return Err(Error::invalid("subdivide", problem));
+    }
+    Ok(match subdivide.auto {
+        true => Edit::SubdivideForPose { region },
+        false => Edit::Subdivide {
+            region,
+            scheme,
+            creases,
+        },
+    })
+}
+
+/// A positive number; 0 is none.
+fn unless_zero(value: f64, field: &str) -> Result<Option<f64>, Error> {
+    match value {
+        0.0 => Ok(None),
+        given => positive(given, field).map(Some),
+    }
+}
+
+fn smooth(smooth: &message::Smooth) -> Result<Edit, Error> {
+    Ok(Edit::Smooth(SmoothCommand {
+        region: optional_region(smooth.region.as_ref(), "smooth.region")?,
+        kind: match enumerated(smooth.kind, "smooth.kind")? {
+            message::smooth::Kind::Smooth => SmoothKind::Smooth,
+            message::smooth::Kind::Relax => SmoothKind::Relax,
+        },
+        iterations: (smooth.iterations > 0).then_some(smooth.iterations),
+        strength: unless_zero(smooth.strength, "smooth.strength")?,
+        sharp_degrees: unless_zero(smooth.sharp_degrees, "smooth.sharpDegrees")?,
     }))
 }
 

@@ -197,3 +197,189 @@ fn another_model_is_welded_or_stitched_on() {
         assert_eq!(bench.facts_message().solver.map(|s| s.components), Some(1));
     }
 }
+
+#[test]
+fn creases_keep_the_edges_of_a_bar_through_two_subdivisions() {
+    let mut bench = bench::bench(&shapes::moved(shapes::cube(1), |p| p * DVec3::new(1.0, 1.0, 4.0)));
+    set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
+    let outcome = edited(&mut bench, &asked(json!({"subdivide": {"creaseDegrees": 40}})));
+    let creases = outcome.result.creases.clone();
+    assert!(creases.len() >= 48 && creases.len().is_multiple_of(4));
+    let outcome = edited(&mut bench, &asked(json!({"subdivide": {"creases": creases}})));
+    sound(&mut bench, &outcome);
+    assert_eq!(outcome.result.creases.len(), 2 * creases.len());
+    let (low, high) = shapes::bounds(bench.rest());
+    let size = high - low;
+    let filled = bench.report().volume / (size.x * size.y * size.z);
+    assert!((filled - 1.0).abs() < 1e-12, "still a bar: {filled}");
+    let rest = bench.rest_shape();
+    for (wrong, field) in [
+        (json!({"subdivide": {"creases": [0, 1, 2]}}), "subdivide.creases"),
+        (json!({"subdivide": {"creases": [0, 100_000]}}), "subdivide.creases[1]"),
+        (json!({"subdivide": {"creaseDegrees": 200}}), "subdivide.creaseDegrees"),
+        (
+            json!({"subdivide": {"scheme": "MIDPOINT", "sharpness": 1}}),
+            "without LOOP",
+        ),
+    ] {
+        let refused = edit(&mut bench, &asked(wrong), &rest).expect_err("no creases");
+        assert!(refused.to_string().contains(field), "{refused}");
+    }
+}
+
+#[test]
+fn smoothing_takes_noise_off_keeps_the_volume_and_can_be_gone_back_from() {
+    let rough = shapes::moved(bar(), |p| {
+        let wave = 0.01 * (libm::sin(71.0 * p.z) + libm::sin(53.0 * p.x) * libm::cos(67.0 * p.y));
+        p * (1.0 + wave)
+    });
+    let mut bench = bench::bench(&rough);
+    set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
+    let (before, bits) = (bench.report().volume, bench.rest().to_vec());
+    let state = bench.topology_state();
+    let middle = json!({"box": {"min": [-1, -1, -1.2], "max": [1, 1, 1.2]}});
+    let smooth = asked(json!({"smooth": {"region": middle, "iterations": 20, "sharpDegrees": 50}}));
+    let outcome = edited(&mut bench, &smooth);
+    let digest = outcome.result.digest.clone();
+    sound(&mut bench, &outcome);
+    assert!((bench.report().volume / before - 1.0).abs() < 1e-6 && outcome.result.volume_change.abs() < 1e-6);
+    assert_eq!(outcome.result.kept.len(), 1, "vertices keep their numbers");
+    let moved = bench.rest().iter().zip(&bits).filter(|(now, was)| now != was);
+    assert!(moved.clone().all(|(_, was)| was.z.abs() < 1.25) && moved.count() > 200);
+    bench
+        .restore_topology(&state, &Exec::new(&pool(2), &Silent))
+        .expect("undone");
+    assert_eq!(**bench.rest(), bits);
+    set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
+    assert_eq!(edited(&mut bench, &smooth).result.digest, digest, "the same again");
+    // What is asked for wrongly is refused by its field.
+    let rest = bench.rest_shape();
+    for (wrong, field) in [
+        (json!({"smooth": {"iterations": 1001}}), "smooth.iterations"),
+        (json!({"smooth": {"strength": 1.5}}), "smooth.strength"),
+        (
+            json!({"smooth": {"kind": "RELAX", "sharpDegrees": 181}}),
+            "smooth.sharpDegrees",
+        ),
+    ] {
+        let refused = edit(&mut bench, &asked(wrong), &rest).expect_err("out of range");
+        assert!(refused.to_string().contains(field), "{refused}");
+    }
+}
+
+#[test]
+fn flat_caps_have_a_material_and_coordinates_of_their_own_through_later_edits() {
+    let mut bench = held();
+    let state = bench.topology_state();
+    let cut = json!({"cut": {"plane": {"normal": [0.1, 0, 1], "offset": 0.3}, "keep": "BELOW", "fill": true, "cap": "FLAT", "material": "marble"}});
+    let outcome = edited(&mut bench, &asked(cut.clone()));
+    let plain = json!({"cut": {"plane": {"normal": [0.1, 0, 1], "offset": 0.3}, "keep": "BELOW", "fill": true}});
+    let mut other = held();
+    let same = edited(&mut other, &asked(plain));
+    assert_eq!(
+        outcome.result.after.map(|c| c.faces),
+        same.result.after.map(|c| c.faces)
+    );
+    assert_eq!(bench.report().volume, other.report().volume, "the same shape");
+    set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(0.0))]);
+    sound(&mut bench, &outcome);
+    for step in [
+        json!({"subdivide": {"scheme": "MIDPOINT"}}),
+        json!({"remesh": {"edgeLength": 0.11}}),
+    ] {
+        edited(&mut bench, &asked(step));
+    }
+    assert!(bench.report().closed);
+    let written = bench
+        .write(bench.rest(), Format::OBJ, &Exec::new(&pool(2), &Silent))
+        .expect("written");
+    let text = String::from_utf8(written.main).expect("text");
+    let (_, cap) = text.split_once("usemtl marble").expect("its material");
+    let number = |word: &str| word.parse::<f64>().expect("a number");
+    let rows = |name: &str| -> Vec<Vec<f64>> {
+        let lines = text.lines().filter_map(|l| l.strip_prefix(name));
+        lines.map(|l| l.split_whitespace().map(number).collect()).collect()
+    };
+    let (places, coordinates) = (rows("v "), rows("vt "));
+    let mut corners: Vec<([f64; 2], DVec3)> = Vec::new();
+    for corner in cap
+        .lines()
+        .filter_map(|l| l.strip_prefix("f "))
+        .flat_map(str::split_whitespace)
+    {
+        let numbers: Vec<usize> = corner.split('/').map(|n| n.parse().unwrap_or(0)).collect();
+        let (p, t) = (&places[numbers[0] - 1], &coordinates[numbers[1] - 1]);
+        corners.push(([t[0], t[1]], DVec3::new(p[0], p[1], p[2])));
+    }
+    assert!(corners.len() > 30 && corners.iter().all(|(_, p)| (p.x * 0.1 + p.z - 0.3).abs() < 1e-9));
+    assert!(
+        corners
+            .iter()
+            .flat_map(|(uv, _)| uv)
+            .all(|c| (-1e-6..=1.000_001).contains(c))
+    );
+    // Laid out to scale: distances there are those of the cap over one length.
+    let far = |i: usize, j: usize| {
+        (corners[i].1.distance(corners[j].1), {
+            let [a, b] = [i, j].map(|k| corners[k].0);
+            (a[0] - b[0]).hypot(a[1] - b[1])
+        })
+    };
+    let scale = far(0, 7).1 / far(0, 7).0;
+    for k in 1..corners.len() {
+        let (there, here) = far(0, k);
+        assert!((here - there * scale).abs() < 1e-5, "{here} {there} {scale}");
+    }
+    let glb = bench
+        .write(bench.rest(), Format::GLB, &Exec::new(&pool(2), &Silent))
+        .expect("written")
+        .main;
+    assert!(String::from_utf8_lossy(&glb).contains("\"marble\""));
+    bench
+        .restore_topology(&state, &Exec::new(&pool(2), &Silent))
+        .expect("undone");
+    set(&mut bench, ends());
+    assert_eq!(
+        edited(&mut bench, &asked(cut)).result.digest,
+        outcome.result.digest,
+        "the same again"
+    );
+}
+
+#[test]
+fn a_hollow_end_is_filled_flat_around_its_hole_and_a_bent_one_curved_with_a_warning() {
+    // A tube with a wall: two boundary loops at its top, one inside the other.
+    let mut bench = bench::bench(&shapes::torus(24, 4, 1.0, 0.3));
+    let halved = json!({"cut": {"plane": {"normal": [0, 0, 1], "offset": 0}, "keep": "BELOW"}});
+    edited(&mut bench, &asked(halved));
+    assert!(!bench.report().closed);
+    let before = bench.geometry().primitives.len();
+    let filled = edited(&mut bench, &asked(json!({"fill": {"cap": "FLAT"}})));
+    assert!(filled.result.warnings.is_empty() && bench.report().closed);
+    assert_eq!(bench.geometry().primitives.len(), before + 1);
+    let cap = bench.geometry().primitives[before].clone();
+    let rest = bench.rest();
+    let ring = cap.vertices().map(|v| rest[v]);
+    assert!(
+        ring.clone().all(|p| p.z.abs() < 1e-9 && p.truncate().length() > 0.6),
+        "nothing spans the hole"
+    );
+    // The boundary of a hole over an edge is not flat.
+    let mut bent = held();
+    edited(&mut bent, &delete(ball([0.5, 0.5, 0.0], 0.35), false));
+    let done = edited(&mut bent, &asked(json!({"fill": {"cap": "FLAT"}})));
+    assert!(done.result.warnings.iter().any(|w| w.code == "cap-curved"));
+    assert!(bent.report().closed && bent.geometry().primitives.len() == 2);
+    let wrong = [
+        (json!({"fill": {"material": "x"}}), "fill.material"),
+        (
+            json!({"cut": {"plane": {"normal": [0, 0, 1], "offset": 0}, "cap": "FLAT"}}),
+            "cut.cap",
+        ),
+    ];
+    let rest = bent.rest_shape();
+    for (wrong, field) in wrong {
+        let refused = edit(&mut bent, &asked(wrong), &rest).expect_err("no such cap");
+        assert!(refused.to_string().contains(field), "{refused}");
+    }
+}

@@ -4,7 +4,8 @@ use super::edit_support::*;
 use super::measures::*;
 use glam::DVec3;
 use pliant::edit::{
-    Error, RemeshTarget, SubdivisionScheme, SurfacePatch, decimate_region, remesh_region, subdivide_region, weld_points,
+    CreaseOptions, Error, RemeshTarget, SubdivisionScheme, SurfacePatch, decimate_region, remesh_region,
+    subdivide_region, weld_points,
 };
 use pliant::progress::Silent;
 use proptest::prelude::*;
@@ -33,7 +34,7 @@ fn run(model: &Model, step: Step, faces: &[u32]) -> Result<SurfacePatch, Error> 
     let surface = model.surface();
     let length = mean_length(model);
     match step {
-        Step::Subdivide(scheme) => subdivide_region(&surface, faces, scheme, &Silent),
+        Step::Subdivide(scheme) => subdivide_region(&surface, faces, scheme, &CreaseOptions::default(), &Silent),
         Step::Decimate(ratio) => decimate_region(&surface, faces, ratio, &Silent),
         Step::Remesh(factor) => {
             let options = RemeshTarget::Length(length * factor).into();

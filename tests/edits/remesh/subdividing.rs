@@ -3,11 +3,11 @@
 use super::edit_support::*;
 use super::measures::*;
 use glam::DVec3;
-use pliant::edit::{SubdivisionScheme, subdivide_region};
+use pliant::edit::{CreaseOptions, SubdivisionScheme, subdivide_region};
 use pliant::progress::Silent;
 
 fn divided(model: &Model, faces: &[u32], scheme: SubdivisionScheme) -> Model {
-    let patch = subdivide_region(&model.surface(), faces, scheme, &Silent).expect("divides");
+    let patch = subdivide_region(&model.surface(), faces, scheme, &CreaseOptions::default(), &Silent).expect("divides");
     assert_blends(model, &patch);
     after(model, &patch)
 }
@@ -31,7 +31,8 @@ fn the_rim_of_a_region_has_no_t_junctions() {
     for height in [0.8, 0.3, -0.2, -0.9] {
         for scheme in [SubdivisionScheme::Midpoint, SubdivisionScheme::Loop] {
             let faces = region(&model, |p| p.z > height);
-            let patch = subdivide_region(&model.surface(), &faces, scheme, &Silent).expect("divides");
+            let patch = subdivide_region(&model.surface(), &faces, scheme, &CreaseOptions::default(), &Silent)
+                .expect("divides");
             let now = after(&model, &patch);
             assert!(topology(&now).is_closed() && topology(&now).euler == 2);
             let fitted: Vec<u32> = patch

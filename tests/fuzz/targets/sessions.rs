@@ -8,7 +8,7 @@ use pliant::edit::{KeptSide, SubdivisionScheme};
 use pliant::engine::{
     CutLine, Deformer, DeformerLimits, Edit, Error, Falloff, FalloffCurve, Handle, HandleConstrains, HandlePose,
     HandleScale, HandleSet, MergeJoin, Method, ModelMerge, OpenOptions, Plane, Quality, Region, RemeshCommand,
-    SolveSettings, digest,
+    SmoothCommand, SmoothKind, SolveSettings, digest,
 };
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -188,11 +188,12 @@ fn points(draw: &mut ByteDraw<'_>) -> Vec<DVec3> {
 
 /// Any operation.
 pub(super) fn edit(draw: &mut ByteDraw<'_>) -> Edit {
-    match draw.below(12) {
+    match draw.below(13) {
         0 => Edit::Cut {
             along: CutLine::Plane(Plane::new(draw.vector(), draw.number())),
             keep: kept_side(draw),
             fill: draw.flag(),
+            cap: None,
         },
         1 => Edit::Cut {
             along: CutLine::Polyline {
@@ -201,6 +202,7 @@ pub(super) fn edit(draw: &mut ByteDraw<'_>) -> Edit {
             },
             keep: kept_side(draw),
             fill: draw.flag(),
+            cap: None,
         },
         2 => Edit::Cut {
             along: CutLine::Path {
@@ -209,10 +211,12 @@ pub(super) fn edit(draw: &mut ByteDraw<'_>) -> Edit {
             },
             keep: kept_side(draw),
             fill: draw.flag(),
+            cap: None,
         },
         3 => Edit::Subdivide {
             region: somewhere(draw),
             scheme: [SubdivisionScheme::Midpoint, SubdivisionScheme::Loop][draw.below(2)],
+            creases: Default::default(),
         },
         4 => Edit::SubdivideForPose {
             region: somewhere(draw),
@@ -227,11 +231,19 @@ pub(super) fn edit(draw: &mut ByteDraw<'_>) -> Edit {
         },
         7 => Edit::Fill {
             region: somewhere(draw),
+            cap: None,
         },
         8 => Edit::Remesh(RemeshCommand {
             region: somewhere(draw),
             edge_length: draw.flag().then(|| draw.number()),
             max_deviation: draw.flag().then(|| draw.number()),
+            sharp_degrees: draw.flag().then(|| draw.number()),
+        }),
+        12 => Edit::Smooth(SmoothCommand {
+            region: somewhere(draw),
+            kind: [SmoothKind::Smooth, SmoothKind::Relax][draw.below(2)],
+            iterations: draw.flag().then(|| u32::from(draw.byte())),
+            strength: draw.flag().then(|| draw.number()),
             sharp_degrees: draw.flag().then(|| draw.number()),
         }),
         9 => Edit::Merge(Box::new(merge(draw))),

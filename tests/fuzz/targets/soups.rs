@@ -95,8 +95,9 @@ fn names_vertices(edit: &Edit) -> bool {
         Edit::Subdivide { region, .. }
         | Edit::SubdivideForPose { region }
         | Edit::Decimate { region, .. }
-        | Edit::Fill { region } => region.as_ref(),
+        | Edit::Fill { region, .. } => region.as_ref(),
         Edit::Remesh(command) => command.region.as_ref(),
+        Edit::Smooth(command) => command.region.as_ref(),
         _ => None,
     };
     matches!(region, Some(Region::Vertices { .. }))

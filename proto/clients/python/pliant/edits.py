@@ -45,6 +45,14 @@ class Subdivide(TypedDict, total=False):
     scheme: Literal["loop", "midpoint"]
     #: Only triangles too large for the bend between the handles.
     auto: bool
+    #: With LOOP, edges sharper than this stay edges, degrees.
+    crease_degrees: float
+    #: Pairs of render vertices between which edges stay edges, in a row.
+    creases: Any
+    #: Edges between two primitives stay edges.
+    crease_primitives: bool
+    #: Below 1 creases are rounded in part.
+    sharpness: float
 
 
 class Decimate(TypedDict, total=False):
@@ -67,6 +75,10 @@ class Fill(TypedDict, total=False):
     """Closes holes."""
 
     region: RegionLike
+    #: Flat caps have a material and texture coordinates of their own.
+    cap: Literal["continued", "flat"]
+    #: The name of that material; "cap" where it is not given.
+    material: str
 
 
 class Remesh(TypedDict, total=False):
@@ -79,6 +91,19 @@ class Remesh(TypedDict, total=False):
     auto: bool
     #: How far the old and the new surface may be from each other, model units.
     max_deviation: float
+    #: An edge stays an edge when the normals of its triangles differ by more, degrees.
+    sharp_degrees: float
+
+
+class Smooth(TypedDict, total=False):
+    """Moves vertices: off with noise, or to more even triangles."""
+
+    region: RegionLike
+    kind: Literal["smooth", "relax"]
+    #: How often; 10 where it is not given.
+    iterations: int
+    #: How far each time, above 0 and up to 1; 0.5 where it is not given.
+    strength: float
     #: An edge stays an edge when the normals of its triangles differ by more, degrees.
     sharp_degrees: float
 
@@ -122,6 +147,7 @@ class EditFields(TypedDict, total=False):
     delete: Delete
     fill: Fill
     remesh: Remesh
+    smooth: Smooth
     merge: Merge
     insert_curve: InsertCurve
     weld: Weld
@@ -182,7 +208,7 @@ def _fill(name: str, operation: Any, given: dict[str, Any], count: int | None) -
     for key, value in given.items():
         if key == "region":
             operation.region.CopyFrom(region(value, count))
-        elif key in ("keep", "scheme", "how"):
+        elif key in ("keep", "scheme", "how", "kind", "cap"):
             setattr(operation, key, enum(key, _ENUMS[key], value))
         elif key == "plane" and name == "cut":
             operation.plane.CopyFrom(plane(value))
@@ -198,8 +224,8 @@ def _fill(name: str, operation: Any, given: dict[str, Any], count: int | None) -
             if not in_a_row and (points.ndim != 2 or points.shape[1] != 3):
                 raise ValueError(f"{key} of shape {points.shape}, (points, 3) is allowed, or x, y, z of each in a row")
             getattr(operation, key).extend(points.ravel().tolist())
-        elif key == "path":
-            operation.path.extend(indices(key, value).tolist())
+        elif key in ("path", "creases"):
+            getattr(operation, key).extend(indices(key, np.ravel(value)).tolist())
         elif key in ("model", "file") and name == "merge":
             operation.model = value if isinstance(value, bytes) else Path(value).read_bytes()
         elif key in operation.DESCRIPTOR.fields_by_name:
@@ -213,6 +239,8 @@ _ENUMS: dict[str, Any] = {
     "keep": pb.EditRequest.Cut.Keep,
     "scheme": pb.EditRequest.Subdivide.Scheme,
     "how": pb.EditRequest.Merge.How,
+    "kind": pb.EditRequest.Smooth.Kind,
+    "cap": pb.EditRequest.Cap,
 }
 
 

@@ -17,6 +17,7 @@ use super::model::FileNotes;
 use super::{Error, Format, Model, Primitive};
 use glam::{DAffine3, DVec3};
 use std::ops::Range;
+use std::sync::Arc;
 
 /// A model that vertices come from.
 #[derive(Debug, Clone, Copy)]
@@ -74,6 +75,19 @@ pub struct EditedModel<'a> {
     /// For each vertex whether its surface is the edit's own (a cap, a filled hole) or shaded flat, so that normals and
     /// tangents are taken from the triangles instead of from the blend. Empty when there is no such vertex.
     pub bare: &'a [bool],
+    /// What runs look like that are caps with a material of their own.
+    pub caps: CapLooks<'a>,
+}
+
+/// Surface that edits have made, with a material and texture coordinates of its own: skin weights and morph targets alone are those
+/// of the primitive that its run names.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct CapLooks<'a> {
+    /// For each run the name of its material when it is a cap. Empty when none is.
+    pub materials: &'a [Option<Arc<str>>],
+    /// Texture coordinates of each vertex, as in glTF; those of vertices of other runs mean nothing. Empty when no run is a
+    /// cap.
+    pub uv: &'a [[f32; 2]],
 }
 
 impl<'a> EditedModel<'a> {
@@ -121,6 +135,34 @@ impl<'a> EditedModel<'a> {
             .sum()
     }
 
+    /// The name of the material of a run that is a cap.
+    pub(super) fn cap_material(&self, run: &PrimitiveRun) -> Option<&'a str> {
+        let place = self.runs.iter().position(|other| other == run)?;
+        self.caps.materials.get(place)?.as_deref()
+    }
+
+    /// The names of the materials of caps, each once.
+    pub(super) fn cap_materials(&self) -> Vec<&'a str> {
+        let mut names: Vec<&str> = Vec::new();
+        for name in self.caps.materials.iter().flatten() {
+            if !names.contains(&&**name) {
+                names.push(name);
+            }
+        }
+        names
+    }
+
+    /// The place of the material of a run among those of caps.
+    pub(super) fn cap_number(&self, run: &PrimitiveRun) -> Option<usize> {
+        let own = self.cap_material(run)?;
+        self.cap_materials().iter().position(|name| *name == own)
+    }
+
+    /// The texture coordinates of a run that is a cap.
+    pub(super) fn cap_uv(&self, run: &PrimitiveRun) -> &'a [[f32; 2]] {
+        self.caps.uv.get(run.vertices()).unwrap_or(&[])
+    }
+
     /// Whether the normal of a vertex comes from its triangles.
     pub(super) fn is_bare(&self, vertex: usize) -> bool {
         self.bare.get(vertex).copied().unwrap_or(false)
@@ -131,6 +173,7 @@ impl<'a> EditedModel<'a> {
         let primitive = self.primitive(run);
         let shift = |t: &[u32; 3]| t.map(|v| v - run.first_vertex + primitive.first_vertex);
         primitive.vertex_count == run.vertex_count
+            && self.cap_material(run).is_none()
             && old.len() == run.triangle_count as usize
             && run
                 .vertices()
@@ -163,6 +206,8 @@ pub(super) fn check(edited: &EditedModel<'_>, positions: &[DVec3], format: Forma
     for (what, length, wanted) in [
         ("origins", edited.origins.len(), edited.triangles.len()),
         ("marks of bare vertices", edited.bare.len(), count),
+        ("texture coordinates of caps", edited.caps.uv.len(), count),
+        ("materials of caps", edited.caps.materials.len(), edited.runs.len()),
     ] {
         if length != 0 && length != wanted {
             return wrong(format!("{length} {what} are given, {wanted} are needed, or none"));

@@ -138,7 +138,9 @@ impl Deformer {
             after: MeshCounts::of(applied.positions.len(), applied.triangles.len() + riding),
             kept: kept_vertex_runs(applied, before.vertices as usize),
             curve: applied.vertices_of_points(&patch.curve),
+            creases: (applied.vertices_of_points(patch.creases.as_flattened()).as_chunks().0).to_vec(),
             deviation: patch.deviation,
+            volume_change: patch.volume_change,
             ..Default::default()
         };
         let noticed = patch.warnings.iter();

@@ -24,6 +24,8 @@ pub enum Edit {
         keep: KeptSide,
         /// Whether the cut is closed by a cap.
         fill: bool,
+        /// A material of its own for the cap; `None`: it continues the surface.
+        cap: Option<OwnCap>,
     },
     /// Splits triangles.
     Subdivide {
@@ -31,6 +33,8 @@ pub enum Edit {
         region: Option<Region>,
         /// Where the new vertices lie.
         scheme: SubdivisionScheme,
+        /// Which edges stay sharp.
+        creases: Creases,
     },
     /// Splits triangles that are too large for the bend between handles.
     SubdivideForPose {
@@ -55,9 +59,13 @@ pub enum Edit {
     Fill {
         /// Where; `None` closes all.
         region: Option<Region>,
+        /// Flat caps with a material of their own; `None`: caps continue the surface.
+        cap: Option<OwnCap>,
     },
     /// Evens out triangles.
     Remesh(RemeshCommand),
+    /// Moves points to make a smoother surface, or more even triangles on the same one.
+    Smooth(SmoothCommand),
     /// Adds another model.
     Merge(Box<ModelMerge>),
     /// Inserts a polyline into the surface as edges.
@@ -74,6 +82,26 @@ pub enum Edit {
     },
 }
 
+/// A cap with a primitive, a material and texture coordinates of its own.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct OwnCap {
+    /// The name of the material.
+    pub material: String,
+}
+
+/// Which edges a subdivision leaves sharp.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Creases {
+    /// As [`CreaseOptions::degrees`](crate::edit::CreaseOptions::degrees).
+    pub degrees: Option<f64>,
+    /// Edges between these pairs of render vertices.
+    pub edges: Vec<[u32; 2]>,
+    /// Edges between two primitives.
+    pub between_primitives: bool,
+    /// As [`CreaseOptions::sharpness`](crate::edit::CreaseOptions::sharpness); `None`: wholly sharp.
+    pub sharpness: Option<f64>,
+}
+
 /// How triangles are evened out.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct RemeshCommand {
@@ -86,6 +114,34 @@ pub struct RemeshCommand {
     /// As [`RemeshOptions::sharp_degrees`](crate::edit::RemeshOptions::sharp_degrees); `None`:
     /// [`SHARP_DEGREES`](crate::edit::SHARP_DEGREES).
     pub sharp_degrees: Option<f64>,
+}
+
+/// How points are moved.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct SmoothCommand {
+    /// Where.
+    pub region: Option<Region>,
+    /// What they are moved for.
+    pub kind: SmoothKind,
+    /// As [`SmoothOptions::iterations`](crate::edit::SmoothOptions::iterations); `None`:
+    /// [`SMOOTHINGS`](crate::edit::SMOOTHINGS).
+    pub iterations: Option<u32>,
+    /// As [`SmoothOptions::strength`](crate::edit::SmoothOptions::strength); `None`:
+    /// [`SMOOTH_STRENGTH`](crate::edit::SMOOTH_STRENGTH).
+    pub strength: Option<f64>,
+    /// As [`SmoothOptions::sharp_degrees`](crate::edit::SmoothOptions::sharp_degrees); `None`: a smoothing keeps no edge, a
+    /// relaxation those above [`SHARP_DEGREES`](crate::edit::SHARP_DEGREES).
+    pub sharp_degrees: Option<f64>,
+}
+
+/// What points are moved for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum SmoothKind {
+    /// A smoother surface of the same volume.
+    #[default]
+    Smooth,
+    /// More even triangles on the same surface.
+    Relax,
 }
 
 /// Where a cut goes.
@@ -147,6 +203,7 @@ pub enum EditKind {
     Delete,
     Fill,
     Remesh,
+    Smooth,
     Merge,
     InsertCurve,
     Weld,
@@ -206,8 +263,12 @@ pub struct EditReport {
     pub kept: Vec<KeptVertexRun>,
     /// Render vertices along an inserted curve, in order, one for each of its points.
     pub curve: Vec<u32>,
-    /// Of a remesh: the largest distance between the surface before and after.
+    /// Of a subdivision with creases: the render vertices at the ends of the edges that they are now.
+    pub creases: Vec<[u32; 2]>,
+    /// Of a remesh or relaxation: the largest distance between the surface before and after.
     pub deviation: f64,
+    /// Of a smoothing: by which part of the volume of the surface it has changed.
+    pub volume_change: f64,
     /// Digest of the positions after the edit.
     pub digest: String,
     /// Whether graph and hierarchy were repaired around the edit, not rebuilt.
@@ -235,6 +296,7 @@ impl EditKind {
             Self::Delete => "delete",
             Self::Fill => "fill",
             Self::Remesh => "remesh",
+            Self::Smooth => "smooth",
             Self::Merge => "merge",
             Self::InsertCurve => "insertCurve",
             Self::Weld => "weld",
@@ -243,6 +305,14 @@ impl EditKind {
 }
 
 impl Edit {
+    /// The caps with a material of their own that it makes, if any.
+    pub(super) fn own_cap(&self) -> Option<&OwnCap> {
+        match self {
+            Self::Cut { cap, fill: true, .. } | Self::Fill { cap, .. } => cap.as_ref(),
+            _ => None,
+        }
+    }
+
     /// Returns the kind of the edit.
     pub fn kind(&self) -> EditKind {
         match self {
@@ -252,6 +322,7 @@ impl Edit {
             Self::Delete { .. } => EditKind::Delete,
             Self::Fill { .. } => EditKind::Fill,
             Self::Remesh(_) => EditKind::Remesh,
+            Self::Smooth(_) => EditKind::Smooth,
             Self::Merge(_) => EditKind::Merge,
             Self::InsertCurve { .. } => EditKind::InsertCurve,
             Self::Weld { .. } => EditKind::Weld,

@@ -1,7 +1,7 @@
 //! Edits as operations on a surface: regions become triangles, another model is appended.
 
 use super::DeformerLimits;
-use super::edit_command::{CutLine, Edit, EditKind, MergeJoin, ModelMerge};
+use super::edit_command::{CutLine, Edit, EditKind, MergeJoin, ModelMerge, OwnCap, SmoothCommand, SmoothKind};
 use super::edit_surface::EditSurface;
 use super::error::Error;
 use super::handle::Region;
@@ -12,7 +12,10 @@ use super::region_context::{RegionContext, vertices_in_region};
 use super::seams::Seams;
 use super::shape::Shading;
 use crate::asset::Model;
-use crate::edit::{CutOptions, CutPlane, KeptSide, LoopPair, RemeshOptions, RemeshTarget, SurfaceCurve, SurfacePatch};
+use crate::edit::{
+    CreaseOptions, CutOptions, CutPlane, LoopPair, RemeshOptions, RemeshTarget, SmoothOptions, SurfaceCurve,
+    SurfacePatch, SurfaceView,
+};
 use crate::exec::Exec;
 use crate::mesh::{Adjacency, BoundingBox, Mesh, NONE, Weld, mean_edge_length};
 use crate::{asset, edit};
@@ -46,12 +49,32 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
     let kind = edit.kind();
     let surface = context.surface.surface();
     edit::check_faces_at_points(&surface)?;
-    Ok(match edit {
-        Edit::Cut { along, keep, fill } => plan_cut(context, along, *keep, *fill, exec)?,
-        Edit::Subdivide { region, scheme } => {
+    let own_caps = edit.own_cap().map(|_| context.surface.primitives.len() as u32);
+    let mut patch = match edit {
+        Edit::Cut { along, keep, fill, .. } => {
+            let options = CutOptions {
+                keep: *keep,
+                fill: *fill,
+                hard_caps: &context.hard_caps(),
+                own_caps,
+            };
+            plan_cut(context, along, &options, exec)?
+        }
+        Edit::Subdivide {
+            region,
+            scheme,
+            creases,
+        } => {
             let faces = context.faces_in_region(region.as_ref(), kind)?;
             (context.admit_growth)(3.0 * faces.len() as f64)?;
-            edit::subdivide_region(&surface, &faces, *scheme, progress)?
+            let named = points_of(&surface, creases.edges.as_flattened(), "subdivide.creases")?;
+            let creases = CreaseOptions {
+                degrees: creases.degrees,
+                edges: named.as_chunks().0,
+                between_primitives: creases.between_primitives,
+                sharpness: creases.sharpness.unwrap_or(1.0),
+            };
+            edit::subdivide_region(&surface, &faces, *scheme, &creases, progress)?
         }
         Edit::SubdivideForPose { region } => {
             let faces = context.faces_in_region(region.as_ref(), kind)?;
@@ -72,12 +95,15 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
             }
             edit::delete_faces(&surface, &faces, *fill, progress)?
         }
-        Edit::Fill { region } => {
+        Edit::Fill { region, .. } => {
             let faces = match region {
                 Some(region) => Some(context.faces_touching(region, 1, kind)?),
                 None => None,
             };
-            edit::fill_holes(&surface, faces.as_deref(), progress)?
+            match own_caps {
+                Some(own) => edit::fill_holes_flat(&surface, faces.as_deref(), own, progress)?,
+                None => edit::fill_holes(&surface, faces.as_deref(), progress)?,
+            }
         }
         Edit::Remesh(remesh) => {
             let faces = context.faces_in_region(remesh.region.as_ref(), kind)?;
@@ -97,16 +123,49 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
             }
             edit::remesh_region(&surface, &faces, &options, progress)?
         }
+        Edit::Smooth(smooth) => plan_smoothing(context, smooth, exec)?,
         Edit::Merge(merge) => plan_merge(context, merge, exec)?,
         Edit::InsertCurve { points, closed } => {
             let curve = SurfaceCurve::Drawn(points);
             edit::insert_curve(&surface, &curve, *closed, progress)?
         }
         Edit::Weld { tolerance } => plan_weld(context, *tolerance, exec)?,
-    })
+    };
+    if let Some(cap) = edit.own_cap() {
+        context.add_caps(&mut patch, cap);
+    }
+    Ok(patch)
 }
 
 impl EditContext<'_> {
+    /// Whether edges are hard where a cap meets a wall of each primitive: where it has normals.
+    fn hard_caps(&self) -> Vec<bool> {
+        self.surface.primitives.iter().map(|p| p.has_normals).collect()
+    }
+
+    /// Adds the primitives that a patch has caps for: that of a cap of primitive p is numbered `primitives.len() + p` in it.
+    fn add_caps(&mut self, patch: &mut SurfacePatch, cap: &OwnCap) {
+        let old = self.surface.primitives.len() as u32;
+        let mut lenders: Vec<u32> = patch
+            .triangles
+            .iter()
+            .filter_map(|t| t.primitive.checked_sub(old))
+            .collect();
+        lenders.sort_unstable();
+        lenders.dedup();
+        let renumber = |primitive: &mut u32| {
+            let place = primitive.checked_sub(old).and_then(|p| lenders.binary_search(&p).ok());
+            *primitive = place.map_or(*primitive, |k| old + k as u32);
+        };
+        patch.vertices.iter_mut().for_each(|v| renumber(&mut v.primitive));
+        patch.triangles.iter_mut().for_each(|t| renumber(&mut t.primitive));
+        for (k, &lender) in (0u32..).zip(&lenders) {
+            patch.caps.push((old + k, lender));
+            self.surface.add_empty_primitive(lender, &cap.material);
+            self.origins.add_cap(lender, &cap.material);
+        }
+    }
+
     /// The triangles with all corners in a region, rising; all of them without one.
     fn faces_in_region(&self, region: Option<&Region>, kind: EditKind) -> Result<Vec<u32>, Error> {
         match region {
@@ -135,42 +194,62 @@ impl EditContext<'_> {
 fn plan_cut(
     context: &EditContext<'_>,
     along: &CutLine,
-    keep: KeptSide,
-    fill: bool,
+    options: &CutOptions<'_>,
     exec: &Exec<'_>,
 ) -> Result<SurfacePatch, Error> {
     let surface = context.surface.surface();
-    // Edges are hard where a cap meets a wall with normals.
-    let hard: Vec<bool> = context.surface.primitives.iter().map(|p| p.has_normals).collect();
-    let options = CutOptions {
-        keep,
-        fill,
-        hard_caps: &hard,
-    };
     Ok(match along {
         CutLine::Plane(plane) => {
             let (normal, point) = plane.unit_normal_and_point();
             let offset = normal.dot(point);
-            edit::cut_by_plane(&surface, &CutPlane { normal, offset }, &options, exec.progress)?
+            edit::cut_by_plane(&surface, &CutPlane { normal, offset }, options, exec.progress)?
         }
         CutLine::Polyline { points, closed } => {
             let curve = SurfaceCurve::Drawn(points);
-            edit::cut_along_curve(&surface, &curve, *closed, &options, exec.progress)?
+            edit::cut_along_curve(&surface, &curve, *closed, options, exec.progress)?
         }
         CutLine::Path { vertices, closed } => {
-            let mut path = Vec::with_capacity(vertices.len());
-            for (k, &vertex) in vertices.iter().enumerate() {
-                let point = surface.point_of.get(vertex as usize).copied();
-                path.push(point.filter(|p| *p != NONE).ok_or_else(|| {
-                    let count = surface.positions.len();
-                    let problem =
-                        format!("is {vertex}, which no triangle uses; the model has {count} vertices, counted from 0");
-                    Error::invalid(format!("cut.path[{k}]"), problem)
-                })?);
-            }
-            edit::cut_along_curve(&surface, &SurfaceCurve::Along(&path), *closed, &options, exec.progress)?
+            let path = points_of(&surface, vertices, "cut.path")?;
+            edit::cut_along_curve(&surface, &SurfaceCurve::Along(&path), *closed, options, exec.progress)?
         }
     })
+}
+
+/// The points of render vertices that a field names.
+fn points_of(surface: &SurfaceView<'_>, vertices: &[u32], field: &str) -> Result<Vec<u32>, Error> {
+    let mut points = Vec::with_capacity(vertices.len());
+    for (k, &vertex) in vertices.iter().enumerate() {
+        let point = surface.point_of.get(vertex as usize).copied();
+        points.push(point.filter(|p| *p != NONE).ok_or_else(|| {
+            let count = surface.positions.len();
+            let problem =
+                format!("is {vertex}, which no triangle uses; the model has {count} vertices, counted from 0");
+            Error::invalid(format!("{field}[{k}]"), problem)
+        })?);
+    }
+    Ok(points)
+}
+
+/// Moves points; normals and tangents follow, and what stands for other vertices gives them its attributes.
+fn plan_smoothing(
+    context: &mut EditContext<'_>,
+    smooth: &SmoothCommand,
+    exec: &Exec<'_>,
+) -> Result<SurfacePatch, Error> {
+    let faces = context.faces_in_region(smooth.region.as_ref(), EditKind::Smooth)?;
+    let (surface, progress) = (context.surface.surface(), exec.progress);
+    let options = |sharp_degrees: f64| SmoothOptions {
+        iterations: smooth.iterations.unwrap_or(edit::SMOOTHINGS),
+        strength: smooth.strength.unwrap_or(edit::SMOOTH_STRENGTH),
+        sharp_degrees: smooth.sharp_degrees.unwrap_or(sharp_degrees),
+    };
+    let mut patch = match smooth.kind {
+        SmoothKind::Smooth => edit::smooth_region(&surface, &faces, &options(180.0), progress)?,
+        SmoothKind::Relax => edit::relax_region(&surface, &faces, &options(edit::SHARP_DEGREES), progress)?,
+    };
+    (context.surface.seams).spread_blends(&mut patch, &context.surface.triangles);
+    context.surface.follow_moves(&patch);
+    Ok(patch)
 }
 
 /// Joins points; and the render vertices of each point that differ in nothing, as files without indices have them.

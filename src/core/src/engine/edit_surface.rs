@@ -1,9 +1,9 @@
 //! The surface that an edit works on.
 
 use super::seams::{Seams, append_padded};
-use super::shape::Shading;
+use super::shape::{Shading, shade};
 use crate::asset::{Geometry, Primitive};
-use crate::edit::SurfaceView;
+use crate::edit::{SurfacePatch, SurfaceView};
 use crate::mesh::{Mesh, NONE};
 use glam::{DVec3, Vec3, Vec4};
 
@@ -117,6 +117,41 @@ impl EditSurface {
         gone.len()
     }
 
+    /// Turns normals and tangents with the triangles when points move; the positions stay.
+    pub fn follow_moves(&mut self, patch: &SurfacePatch) {
+        if self.normals.is_empty() || patch.moved.is_empty() {
+            return;
+        }
+        let mut places = vec![None; self.points as usize];
+        for &(point, place) in &patch.moved {
+            places[point as usize] = Some(place);
+        }
+        let moved: Vec<DVec3> = (self.positions.iter().zip(&self.point_of))
+            .map(|(&x, &p)| places.get(p as usize).copied().flatten().unwrap_or(x))
+            .collect();
+        let Self {
+            triangles,
+            normals,
+            tangents,
+            primitives,
+            positions,
+            ..
+        } = self;
+        let followed = shade(triangles, normals, tangents, primitives, positions, &moved);
+        let (was, now) = (&*positions, &moved);
+        let touched = triangles
+            .iter()
+            .filter(|t| t.iter().any(|&v| was[v as usize] != now[v as usize]));
+        let mut turned = vec![false; now.len()];
+        touched.flatten().for_each(|&v| turned[v as usize] = true);
+        for v in (0..turned.len()).filter(|&v| turned[v]) {
+            normals[v] = followed.normals[v];
+            if let Some(tangent) = tangents.get_mut(v) {
+                *tangent = followed.tangents[v];
+            }
+        }
+    }
+
     /// Turns all triangles inside out.
     pub fn turn_inside_out(&mut self) {
         let triangles = self.triangles.iter_mut().chain(&mut self.seamless);
@@ -126,6 +161,17 @@ impl EditSurface {
     /// The first render vertex of each primitive.
     pub fn first_vertices(&self) -> Vec<u32> {
         self.primitives.iter().map(|p| p.first_vertex).collect()
+    }
+
+    /// Appends a primitive without vertices that is as another one is but for its name.
+    pub fn add_empty_primitive(&mut self, like: u32, name: &str) {
+        self.primitives.push(Primitive {
+            name: name.to_owned(),
+            first_vertex: self.positions.len() as u32,
+            vertex_count: 0,
+            index_count: 0,
+            ..self.primitives[like as usize].clone()
+        });
     }
 
     /// Appends another surface, whose vertices were put in place before.

@@ -27,6 +27,7 @@
 //! on the way. What depends on the model is checked here; an [`Error`] names the field of the request.
 
 mod animation;
+mod cap_coordinates;
 mod carry;
 mod deformer;
 mod derived_structures;
@@ -60,8 +61,8 @@ pub use animation::{
 };
 pub use deformer::Deformer;
 pub use edit_command::{
-    CutLine, Edit, EditCommand, EditKind, EditOutcome, EditReport, EditedShape, KeptVertexRun, MergeJoin, ModelMerge,
-    RemeshCommand,
+    Creases, CutLine, Edit, EditCommand, EditKind, EditOutcome, EditReport, EditedShape, KeptVertexRun, MergeJoin,
+    ModelMerge, OwnCap, RemeshCommand, SmoothCommand, SmoothKind,
 };
 pub use error::Error;
 pub use facts::{

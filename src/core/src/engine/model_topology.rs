@@ -5,7 +5,7 @@ use super::error::Error;
 use super::part_families::{PartFamilies, VertexOrigins};
 use super::riding::RidingNodes;
 use crate::asset::{self, Format, Geometry, Model, Primitive, ShapeFollowers, WrittenFiles};
-use crate::edit::{PatchedSurface, SurfacePatch};
+use crate::edit::{NewVertex, PatchedSurface, SurfacePatch};
 use crate::mesh::{Mesh, Weld};
 use glam::{DVec3, Vec3, Vec4};
 use sha2::{Digest, Sha256};
@@ -299,6 +299,10 @@ fn is_own(
     let old = before.positions.len();
     let new = (applied.old_from_vertex[vertex] as usize).checked_sub(old);
     if new.is_some_and(|k| patch.flat.binary_search(&(k as u32)).is_ok()) {
+        return true;
+    }
+    let is_cap = |v: &NewVertex| patch.caps.iter().any(|cap| cap.0 == v.primitive);
+    if new.and_then(|k| patch.vertices.get(k)).is_some_and(is_cap) {
         return true;
     }
     let (Some(new), false) = (new.and_then(|k| patch.vertices.get(k)), before.normals.is_empty()) else {

@@ -4,11 +4,12 @@
 //! model is written.
 
 use crate::asset::{
-    self, BaseModel, EditedModel, Format, Model, Primitive, PrimitiveRun, ShapeFollowers, VertexBlend, VertexBlends,
-    WrittenFiles, write_edited_model_following,
+    self, BaseModel, CapLooks, EditedModel, Format, Model, Primitive, PrimitiveRun, ShapeFollowers, VertexBlend,
+    VertexBlends, WrittenFiles, write_edited_model_following,
 };
 use crate::deform::TieFamilies;
 use crate::edit::{PatchedSurface, SurfacePatch, SurfaceView};
+use crate::engine::cap_coordinates::cap_uv_after_edit;
 use crate::engine::error::Error;
 use crate::engine::riding::number_of_primitives;
 use crate::engine::settings::KeptApart;
@@ -223,6 +224,10 @@ pub(super) struct VertexOrigins {
     bare: Vec<bool>,
     /// The triangle of the base that each triangle was.
     triangles: Vec<u32>,
+    /// Of each primitive that is a cap with a material of its own, the material's name.
+    cap_materials: Vec<Option<Arc<str>>>,
+    /// The texture coordinates of each vertex of a cap; empty while there is none.
+    cap_uv: Vec<[f32; 2]>,
 }
 
 impl VertexOrigins {
@@ -234,6 +239,8 @@ impl VertexOrigins {
             blends: VertexBlends::default(),
             bare: Vec::new(),
             triangles: Vec::new(),
+            cap_materials: Vec::new(),
+            cap_uv: Vec::new(),
         };
         origins.append(model, DAffine3::IDENTITY, source_triangle);
         origins
@@ -247,8 +254,19 @@ impl VertexOrigins {
             .extend(primitives.map(|primitive| PrimitiveOrigin { base, primitive }));
         (0..model.positions.len() as u32).for_each(|v| self.blends.push_vertex(v));
         self.bare.resize(self.blends.len(), false);
+        self.cap_materials.resize(self.sources.len(), None);
+        if !self.cap_uv.is_empty() {
+            self.cap_uv.resize(self.blends.len(), [0.0; 2]);
+        }
         self.triangles.extend(source_triangle);
         self.bases.push((Arc::clone(model), placement));
+    }
+
+    /// Appends a primitive without vertices: a cap whose vertices are blended from those of the primitive `lender`.
+    pub fn add_cap(&mut self, lender: u32, material: &str) {
+        self.sources.push(self.sources[lender as usize]);
+        self.cap_materials.push(Some(material.into()));
+        self.cap_uv.resize(self.blends.len(), [0.0; 2]);
     }
 
     /// The models that vertices come from.
@@ -302,8 +320,13 @@ impl VertexOrigins {
         for (now, &was) in applied.old_from_vertex.iter().enumerate() {
             match (was as usize).checked_sub(old).and_then(|k| patch.vertices.get(k)) {
                 None => {
-                    blends.push_composed(&self.blends, &[(was, 1.0)]);
-                    flags.push(self.bare[was as usize]);
+                    let slid = patch.blended.binary_search_by_key(&was, |b| b.vertex);
+                    let slid = slid.ok().map(|k| &patch.blended[k]);
+                    match slid {
+                        Some(slid) => blends.push_composed(&self.blends, &slid.parts().collect::<Vec<_>>()),
+                        None => blends.push_composed(&self.blends, &[(was, 1.0)]),
+                    }
+                    flags.push(self.bare[was as usize] || slid.is_some_and(|slid| slid.flat));
                 }
                 Some(new) => {
                     let parts: Vec<(u32, f64)> = new.parts().collect();
@@ -315,6 +338,8 @@ impl VertexOrigins {
         }
         let was = |t: &u32| self.triangles.get(*t as usize).copied().unwrap_or(NONE);
         Self {
+            cap_uv: cap_uv_after_edit(&self.cap_uv, applied, patch),
+            cap_materials: self.cap_materials.clone(),
             bases: self.bases.clone(),
             sources: self.sources.clone(),
             blends,
@@ -359,6 +384,10 @@ impl VertexOrigins {
             triangles: &geometry.triangles,
             origins: &self.triangles,
             bare: &self.bare,
+            caps: CapLooks {
+                materials: &self.cap_materials,
+                uv: &self.cap_uv,
+            },
         };
         write_edited_model_following(&edited, positions, format, followers.clone())
     }
@@ -366,6 +395,8 @@ impl VertexOrigins {
     /// Bytes held, with those of the models that were merged in.
     pub fn byte_size(&self) -> u64 {
         let merged: u64 = self.bases.iter().skip(1).map(|(model, _)| model.bytes_held()).sum();
-        self.blends.bytes_held() + (self.bare.capacity() + 4 * self.triangles.capacity()) as u64 + merged
+        self.blends.bytes_held()
+            + (self.bare.capacity() + 4 * self.triangles.capacity() + 8 * self.cap_uv.capacity()) as u64
+            + merged
     }
 }

@@ -11,7 +11,7 @@
 use super::error::Error;
 use super::part_families::VertexOrigins;
 use crate::asset::{Geometry, VertexAttributes, VertexBlend, agrees_with_facet, facet_normal, normal_key};
-use crate::edit::{NewVertex, SurfacePatch, SurfaceView};
+use crate::edit::{BlendedVertex, NewVertex, SurfacePatch, SurfaceView};
 use crate::mesh::{Mesh, NONE, mix_bits};
 use crate::progress::{Progress, check};
 use glam::{DVec3, Vec3};
@@ -110,6 +110,40 @@ impl Seams {
                 if marks[from] > marks[to] {
                     marks[to] = marks[from];
                 }
+            }
+        }
+    }
+
+    /// Gives the attributes that a vertex takes to all that it stands for. Where the surface is shaded flat all corners of
+    /// `triangles`, those of the surface, that have turned show it.
+    pub fn spread_blends(&self, patch: &mut SurfacePatch, triangles: &[[u32; 3]]) {
+        if self.is_empty() || patch.blended.is_empty() {
+            return;
+        }
+        let taken = std::mem::take(&mut patch.blended);
+        let place = |first: u32| taken.binary_search_by_key(&first, |b| b.vertex);
+        let mut turned = vec![false; self.stands_for.len()];
+        for t in triangles
+            .iter()
+            .filter(|t| t.iter().any(|&v| place(self.first_of(v)).is_ok()))
+        {
+            t.iter().for_each(|&v| turned[v as usize] = true);
+        }
+        for (vertex, &first) in (0u32..).zip(&self.stands_for) {
+            let own = BlendedVertex {
+                vertex,
+                of: [vertex; 3],
+                weights: [1.0, 0.0, 0.0],
+                flat: self.is_facet(first),
+            };
+            match place(first) {
+                Ok(k) => patch.blended.push(BlendedVertex {
+                    of: taken[k].of,
+                    weights: taken[k].weights,
+                    ..own
+                }),
+                Err(_) if turned[vertex as usize] && own.flat => patch.blended.push(own),
+                Err(_) => {}
             }
         }
     }

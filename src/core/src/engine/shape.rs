@@ -151,7 +151,8 @@ pub fn shading(model: &Geometry, rest: &[DVec3], positions: &[DVec3]) -> Shading
     )
 }
 
-fn shade(
+/// The same of arrays: `rest` is the shape that normals and tangents are of.
+pub(super) fn shade(
     triangles: &[[u32; 3]],
     authored_normals: &[Vec3],
     authored_tangents: &[Vec4],

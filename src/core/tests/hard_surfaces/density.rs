@@ -46,6 +46,7 @@ fn difference_of_density(deformer: &mut Deformer, exec: &Exec<'_>) -> Option<f64
             side.middle_of_top(&rest)[across],
         )),
         scheme: SubdivisionScheme::Midpoint,
+        creases: Default::default(),
     };
     let command = EditCommand {
         edit: &edit,

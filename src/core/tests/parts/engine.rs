@@ -188,6 +188,7 @@ fn what_is_undone_is_as_it_was_and_edits_tie_again_around_themselves() {
         let edit = Edit::Subdivide {
             region: Some(region),
             scheme: SubdivisionScheme::Midpoint,
+            creases: Default::default(),
         };
         let outcome = deformer.edit_rest(&edit, &exec).expect("split");
         assert!(outcome.report.repaired, "{name}: the graph follows");
@@ -226,6 +227,7 @@ fn what_a_cut_has_separated_is_not_tied_again_but_all_else_is() {
         along: CutLine::Plane(Plane::new([0.0, 1.0, 0.0], 0.3)),
         keep: KeptSide::Both,
         fill: true,
+        cap: None,
     };
     deformer.edit_rest(&cut, &exec).expect("cut");
     let graph = &deformer.body().graph;

@@ -381,7 +381,7 @@ pub fn cut_along_curve(
             warn_of_open_section(&mut mesh, &trail, place);
         }
         for ring in rings.iter().filter(|r| r.len() > 2) {
-            cap_opening_alike(&mut mesh, ring, options.hard_caps, progress)?;
+            cap_opening_alike(&mut mesh, ring, options.cap_look(), progress)?;
         }
     }
     Ok(mesh.into_finite_patch(surface, gone)?.0)

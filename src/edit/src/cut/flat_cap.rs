@@ -9,7 +9,7 @@
 //! of two parts fit, and their volumes add up to that of the whole.
 
 use crate::fill::{
-    OpeningRim, RefineSize, WHOLE_EDGES, double_area, loop_contains, refine_faces, split_double_edges,
+    CapLook, OpeningRim, RefineSize, WHOLE_EDGES, double_area, loop_contains, refine_faces, split_double_edges,
     triangulate_loop, triangulate_polygon,
 };
 use crate::patch::EditWarning;
@@ -21,12 +21,12 @@ use pliant_mesh::{Error, NONE};
 use std::collections::BTreeMap;
 
 /// Fills the openings along `open_sides` (sides of living faces: from, to, face), which lie in a plane with the outward
-/// normal `normal`. `hard[p]`: caps of primitive `p` do not share vertices with the surface beside them.
-pub(super) fn cap_flat_openings(
+/// normal `normal`.
+pub(crate) fn cap_flat_openings(
     mesh: &mut RegionMesh,
     open_sides: &[(u32, u32, u32)],
     normal: DVec3,
-    hard: &[bool],
+    look: CapLook<'_>,
     progress: &dyn Progress,
 ) -> Result<(), Error> {
     let closed = gather_section_loops(mesh, open_sides);
@@ -62,7 +62,7 @@ pub(super) fn cap_flat_openings(
             .chain(holes.iter().map(Vec::as_slice))
             .map(|ring| ring.iter().map(|&p| points[p as usize]).collect())
             .collect();
-        let mut rim = OpeningRim::from_loops(mesh, &loops, hard);
+        let mut rim = OpeningRim::from_loops(mesh, &loops, look);
         rim.sizes.values_mut().for_each(|s| *s *= WHOLE_EDGES);
         let first = mesh.faces.len();
         match triangles {
@@ -157,12 +157,11 @@ fn nest_loops<'a>(flat: &mut [DVec2], rings: &'a [Vec<u32>]) -> Vec<(&'a [u32], 
         .collect()
 }
 
-/// Fills the opening inside `ring`, given in the direction that the new faces run along it. `hard[p]`: caps of primitive
-/// `p` do not share vertices with the surface beside them.
+/// Fills the opening inside `ring`, given in the direction that the new faces run along it.
 pub(super) fn cap_opening_alike(
     mesh: &mut RegionMesh,
     ring: &[u32],
-    hard: &[bool],
+    look: CapLook<'_>,
     progress: &dyn Progress,
 ) -> Result<(), Error> {
     let n = ring.len();
@@ -174,7 +173,7 @@ pub(super) fn cap_opening_alike(
         .collect();
     let cap = mesh_cap(mesh, &common, progress)?;
 
-    let rim = OpeningRim::from_loops(mesh, &[ring.to_vec()], hard);
+    let rim = OpeningRim::from_loops(mesh, &[ring.to_vec()], look);
     let first = mesh.faces.len();
     let mut point = common.clone();
     point.extend(cap.points[n..].iter().map(|p| mesh.add_point(p.position)));

@@ -8,11 +8,12 @@ mod curve;
 mod flat_cap;
 mod trace;
 
+use super::fill::CapLook;
 use super::patch::SurfacePatch;
 use super::region_mesh::{RegionMesh, edge_key};
 use super::surface::SurfaceView;
 pub use curve::{MOST_POINTS, SurfaceCurve, cut_along_curve, insert_curve};
-use flat_cap::cap_flat_openings;
+pub(super) use flat_cap::cap_flat_openings;
 use glam::DVec3;
 use pliant_exec::progress::{Progress, check};
 use pliant_mesh::{Error, NONE};
@@ -69,7 +70,7 @@ pub fn cut_by_plane(
     band.split_crossing_edges(progress)?;
     let cuts = band.part_sides(dropped);
     if options.fill {
-        band.close(&cuts, options.hard_caps, progress)?;
+        band.close(&cuts, options.cap_look(), progress)?;
     }
     Ok(band.mesh.into_finite_patch(surface, gone)?.0)
 }
@@ -160,13 +161,13 @@ impl CutBand<'_> {
     }
 
     /// Closes what the cut opened, on each side.
-    fn close(&mut self, cuts: &BTreeSet<(u32, u32)>, hard: &[bool], progress: &dyn Progress) -> Result<(), Error> {
+    fn close(&mut self, cuts: &BTreeSet<(u32, u32)>, look: CapLook<'_>, progress: &dyn Progress) -> Result<(), Error> {
         let root = |p: u32| self.mesh.points[p as usize].root;
         let open = self.mesh.open_sides(|a, b| cuts.contains(&edge_key(root(a), root(b))));
         let unit = self.plane.normal / self.plane.normal.length();
         let (above, below): (Vec<_>, Vec<_>) = open.into_iter().partition(|side| self.is_above(side.2, unit));
-        cap_flat_openings(&mut self.mesh, &above, -unit, hard, progress)?;
-        cap_flat_openings(&mut self.mesh, &below, unit, hard, progress)
+        cap_flat_openings(&mut self.mesh, &above, -unit, look, progress)?;
+        cap_flat_openings(&mut self.mesh, &below, unit, look, progress)
     }
 }
 
@@ -323,4 +324,15 @@ pub struct CutOptions<'a> {
     pub fill: bool,
     /// For each primitive, whether the vertices of its caps are their own (a primitive with normals); no beyond the end.
     pub hard_caps: &'a [bool],
+    /// Caps belong to primitives of their own: that of an opening in primitive p is number this + p.
+    pub own_caps: Option<u32>,
+}
+
+impl<'a> CutOptions<'a> {
+    fn cap_look(&self) -> CapLook<'a> {
+        CapLook {
+            hard: self.hard_caps,
+            own: self.own_caps,
+        }
+    }
 }

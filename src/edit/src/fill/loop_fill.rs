@@ -13,7 +13,7 @@
 //! section 3): a triangle that is too large for its corners gets a point in its middle, then edges are exchanged until
 //! opposite angles are no more than half a turn together.
 
-use super::opening::{OpeningRim, split_double_edges};
+use super::opening::{CapLook, OpeningRim, split_double_edges};
 use super::polygon::triangulate_polygon;
 use crate::region_mesh::{CAP, RegionMesh, edge_key};
 use glam::{DVec2, DVec3};
@@ -28,9 +28,14 @@ const EXACT: usize = 200;
 const LONGEST: usize = 20_000;
 
 /// Fills the hole inside `ring`, given in the direction that the new faces run along it: against the faces around.
-pub(super) fn fill_loop(mesh: &mut RegionMesh, ring: &[u32], progress: &dyn Progress) -> Result<(), Error> {
+pub(crate) fn fill_loop(
+    mesh: &mut RegionMesh,
+    ring: &[u32],
+    look: CapLook<'_>,
+    progress: &dyn Progress,
+) -> Result<(), Error> {
     let loops = [ring.to_vec()];
-    let rim = OpeningRim::from_loops(mesh, &loops, &[]);
+    let rim = OpeningRim::from_loops(mesh, &loops, look);
     let first = mesh.faces.len();
     match triangulate_loop(mesh, ring, true, progress)? {
         Some(triangles) => triangles
@@ -479,7 +484,7 @@ mod tests {
             assert!(normals.clone().all(|n| n.z >= 0.0));
             assert!((normals.map(|n| n.z).sum::<f64>() - 18.0).abs() < 1e-12);
         }
-        fill_loop(&mut mesh, &ring, &Silent).expect("fills");
+        fill_loop(&mut mesh, &ring, CapLook::default(), &Silent).expect("fills");
         assert_eq!(mesh.open_sides(|a, b| a < 12 && b < 12), []);
     }
 }

@@ -8,9 +8,8 @@ use super::patch::{EditWarning, SurfacePatch};
 use super::region_mesh::RegionMesh;
 use super::surface::{BitSet, SurfaceView};
 use super::topology::{boundary_loops, split_into_loops};
-use loop_fill::fill_loop;
-pub(super) use loop_fill::{RefineSize, WHOLE_EDGES, refine_faces, triangulate_loop};
-pub(super) use opening::{OpeningRim, split_double_edges};
+pub(super) use loop_fill::{RefineSize, WHOLE_EDGES, fill_loop, refine_faces, triangulate_loop};
+pub(super) use opening::{CapLook, OpeningRim, split_double_edges};
 use pliant_exec::progress::{Progress, check};
 use pliant_mesh::{Error, sorted_set};
 pub(super) use polygon::{double_area, loop_contains, triangulate_polygon};
@@ -60,7 +59,7 @@ pub fn delete_faces(
             mesh.warnings.push(EditWarning::new("open-rim", message, place));
         }
         for ring in closed.iter().filter(|r| r.len() > 2) {
-            fill_loop(&mut mesh, ring, progress)?;
+            fill_loop(&mut mesh, ring, CapLook::default(), progress)?;
         }
     }
     mesh.open_fans(&BTreeSet::new());
@@ -96,6 +95,24 @@ pub fn fill_holes(
     region: Option<&[u32]>,
     progress: &dyn Progress,
 ) -> Result<SurfacePatch, Error> {
+    let (mut mesh, rings) = gather_holes(surface, region, progress)?;
+    for ring in &rings {
+        fill_loop(&mut mesh, ring, CapLook::default(), progress)?;
+    }
+    mesh.open_fans(&BTreeSet::new());
+    Ok(mesh.into_finite_patch(surface, Vec::new())?.0)
+}
+
+/// The surface around the holes that touch a point of the triangles `region`, or around all, and those holes as points of
+/// it, in the direction that faces filling them run.
+///
+/// # Errors
+/// [`Error::Impossible`] when there is no such hole, [`Error::Cancelled`].
+pub(super) fn gather_holes(
+    surface: &SurfaceView<'_>,
+    region: Option<&[u32]>,
+    progress: &dyn Progress,
+) -> Result<(RegionMesh, Vec<Vec<u32>>), Error> {
     let (mut closed, open) = boundary_loops(surface);
     let total = closed.len();
     let wanted = region.map(|region| surface.points_of_triangles(region));
@@ -112,11 +129,8 @@ pub fn fill_holes(
     check(progress)?;
     let mut around = BitSet::new(surface.points as usize);
     closed.iter().flatten().for_each(|&p| around.insert(p));
-    let mut mesh = RegionMesh::around_points(surface, &around);
-    for ring in &closed {
-        let ring: Vec<u32> = ring.iter().filter_map(|&p| mesh.find_point(p)).collect();
-        fill_loop(&mut mesh, &ring, progress)?;
-    }
-    mesh.open_fans(&BTreeSet::new());
-    Ok(mesh.into_finite_patch(surface, Vec::new())?.0)
+    let mesh = RegionMesh::around_points(surface, &around);
+    let found = |ring: &Vec<u32>| ring.iter().filter_map(|&p| mesh.find_point(p)).collect();
+    let rings = closed.iter().map(found).collect();
+    Ok((mesh, rings))
 }

@@ -4,6 +4,15 @@ use crate::region_mesh::{CAP, RegionMesh};
 use glam::DVec3;
 use std::collections::BTreeMap;
 
+/// What the faces of a cap belong to and share with the surface beside them.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct CapLook<'a> {
+    /// For each primitive, whether its caps have vertices of their own; no beyond the end.
+    pub hard: &'a [bool],
+    /// Caps are of primitives of their own: that of an opening in primitive p is this number and p.
+    pub own: Option<u32>,
+}
+
 /// The loops around an opening with what their new faces hang on.
 pub(crate) struct OpeningRim {
     /// The primitive of the new faces.
@@ -16,7 +25,7 @@ pub(crate) struct OpeningRim {
 
 impl OpeningRim {
     /// Loops in the direction that new faces run along them: against the faces that are there.
-    pub fn from_loops(mesh: &mut RegionMesh, loops: &[Vec<u32>], hard: &[bool]) -> Self {
+    pub fn from_loops(mesh: &mut RegionMesh, loops: &[Vec<u32>], look: CapLook<'_>) -> Self {
         let mut votes: BTreeMap<u32, usize> = BTreeMap::new();
         let sides = |ring: &[u32]| -> Vec<(u32, u32)> {
             ring.iter()
@@ -34,9 +43,9 @@ impl OpeningRim {
             .iter()
             .max_by_key(|(p, n)| (**n, std::cmp::Reverse(**p)))
             .map_or(0, |(p, _)| *p);
-        let own = hard.get(primitive as usize).copied().unwrap_or(false);
+        let own = look.own.is_some() || look.hard.get(primitive as usize).copied().unwrap_or(false);
         let mut rim = Self {
-            primitive,
+            primitive: primitive + look.own.unwrap_or(0),
             wedges: BTreeMap::new(),
             sizes: BTreeMap::new(),
         };

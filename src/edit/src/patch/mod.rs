@@ -10,7 +10,7 @@ mod surface_patch;
 use super::surface::SurfaceView;
 use pliant_mesh::{Error, NONE};
 use resolve::{ResolvedPatch, check_surface};
-pub use surface_patch::{EditWarning, NewTriangle, NewVertex, PatchedSurface, SurfacePatch};
+pub use surface_patch::{BlendedVertex, EditWarning, NewTriangle, NewVertex, PatchedSurface, SurfacePatch};
 
 /// Applies `patch` to `surface`, whose render vertices stand in one run per primitive: run `p` starts at
 /// `first_vertex[p]`.

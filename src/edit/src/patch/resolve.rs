@@ -124,22 +124,29 @@ impl ResolvedPatch {
                     ));
                 }
             }
-            let mut sum = 0.0;
-            for (&of, &weight) in v.of.iter().zip(&v.weights) {
-                if weight == 0.0 {
-                    continue;
-                }
-                let run = run_of(first_vertex, surface.positions.len(), v.primitive);
-                if !(weight > 0.0 && weight <= 1.0 + 1e-9 && run.contains(&of)) {
-                    return refuse(format!(
-                        "is blended from vertex {of} by {weight}; allowed are {run:?}, 0 to 1"
-                    ));
-                }
-                sum += weight;
+            let cap = patch.caps.iter().find(|cap| cap.0 == v.primitive);
+            let lender = cap.map_or(v.primitive, |cap| cap.1);
+            let run = run_of(first_vertex, surface.positions.len(), lender);
+            check_blend(&run, v.of, v.weights).or_else(refuse)?;
+        }
+        let mut last = None;
+        for v in &patch.blended {
+            let refuse = |problem: String| {
+                Err(Error::invalid(
+                    "patch.blended",
+                    format!("vertex {} {problem}", v.vertex),
+                ))
+            };
+            if v.vertex as usize >= surface.positions.len() || last.is_some_and(|l| l >= v.vertex) {
+                return refuse(format!(
+                    "comes after {last:?}; numbers must rise and stay below {}",
+                    surface.positions.len()
+                ));
             }
-            if (sum - 1.0).abs() > 1e-6 {
-                return refuse(format!("has weights that sum to {sum}, not 1"));
-            }
+            last = Some(v.vertex);
+            let primitive = first_vertex.partition_point(|&first| first <= v.vertex) as u32 - 1;
+            let run = run_of(first_vertex, surface.positions.len(), primitive);
+            check_blend(&run, v.of, v.weights).or_else(refuse)?;
         }
         Ok(())
     }
@@ -238,6 +245,23 @@ impl ResolvedPatch {
         }
         applied.point_from_old = number;
     }
+}
+
+/// Refuses a blend of vertices outside of `run`, the vertices of its primitive, and weights that are none.
+fn check_blend(run: &std::ops::Range<u32>, of: [u32; 3], weights: [f64; 3]) -> Result<(), String> {
+    let mut sum = 0.0;
+    for (of, weight) in of.into_iter().zip(weights).filter(|part| part.1 != 0.0) {
+        if !(weight > 0.0 && weight <= 1.0 + 1e-9 && run.contains(&of)) {
+            return Err(format!(
+                "is blended from vertex {of} by {weight}; allowed are {run:?}, 0 to 1"
+            ));
+        }
+        sum += weight;
+    }
+    if (sum - 1.0).abs() > 1e-6 {
+        return Err(format!("has weights that sum to {sum}, not 1"));
+    }
+    Ok(())
 }
 
 /// The render vertices of a primitive.

@@ -73,7 +73,8 @@ pub struct NewVertex {
     pub point: u32,
     /// Where it is.
     pub position: DVec3,
-    /// The old render vertices, of the same primitive, that its attributes are blended from. Entries of weight 0 are
+    /// The old render vertices, of the same primitive or, for one of [`SurfacePatch::caps`], the one that it is given, that
+    /// its attributes are blended from. Entries of weight 0 are
     /// ignored; the weights are not negative and sum to 1.
     pub of: [u32; 3],
     /// Their weights.
@@ -81,6 +82,26 @@ pub struct NewVertex {
 }
 
 impl NewVertex {
+    /// The render vertices that it is blended from, with their weights, which are above 0.
+    pub fn parts(&self) -> impl Iterator<Item = (u32, f64)> + Clone {
+        self.of.into_iter().zip(self.weights).filter(|part| part.1 > 0.0)
+    }
+}
+
+/// An old vertex that stays and takes other attributes: its point has slid along the surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BlendedVertex {
+    /// The vertex.
+    pub vertex: u32,
+    /// As [`NewVertex::of`].
+    pub of: [u32; 3],
+    /// As [`NewVertex::weights`].
+    pub weights: [f64; 3],
+    /// Whether it shows the normal of its triangle instead of a blended one.
+    pub flat: bool,
+}
+
+impl BlendedVertex {
     /// The render vertices that it is blended from, with their weights, which are above 0.
     pub fn parts(&self) -> impl Iterator<Item = (u32, f64)> + Clone {
         self.of.into_iter().zip(self.weights).filter(|part| part.1 > 0.0)
@@ -112,14 +133,22 @@ pub struct SurfacePatch {
     /// Old points that become one with another: point and the old point that it joins, which joins no other; rising,
     /// each once. The joined vertices take the position of the point that stays.
     pub joined: Vec<(u32, u32)>,
+    /// Old vertices that stay and take other attributes, rising, each once.
+    pub blended: Vec<BlendedVertex>,
     /// Old vertices that no triangle of the surface uses and that go as well, rising: others of that kind stay.
     pub idle: Vec<u32>,
     /// What the user should know.
     pub warnings: Vec<EditWarning>,
     /// Points along an inserted curve, in order, in the numbers after the edit.
     pub curve: Vec<u32>,
-    /// Of a remesh: the largest distance between the surface before and after.
+    /// Primitives that come, after the old ones, and the old primitives whose vertices theirs are blended from.
+    pub caps: Vec<(u32, u32)>,
+    /// Edges that stay sharp in a subdivision, by their ends, in the numbers after the edit.
+    pub creases: Vec<[u32; 2]>,
+    /// Of a remesh or relaxation: the largest distance between the surface before and after.
     pub deviation: f64,
+    /// Of a smoothing: by which part of the volume of the surface it changes.
+    pub volume_change: f64,
 }
 
 /// Something that the user should know about an edit that was done.

@@ -19,7 +19,7 @@
 mod mesh;
 mod split;
 
-use super::patch::{NewTriangle, NewVertex, SurfacePatch};
+use super::patch::{BlendedVertex, NewTriangle, NewVertex, SurfacePatch};
 use super::surface::{BitSet, SurfaceView, check_region};
 use glam::DVec3;
 pub(super) use mesh::{CAP, EdgeFaces, RegionMesh, Wedge, edge_key};
@@ -256,7 +256,42 @@ impl RegionMesh {
         (patch, number)
     }
 
-    /// Does the same for a mesh of which new points may have left the range of numbers. `gone` are triangles outside the
+    /// Writes which points have moved, and what their vertices are made of now, for a mesh in which nothing else has changed:
+    /// all vertices and triangles stay.
+    pub fn into_moves(self, surface: &SurfaceView<'_>) -> SurfacePatch {
+        let mut moved: BTreeMap<u32, DVec3> = BTreeMap::new();
+        let mut blended: BTreeMap<u32, BlendedVertex> = BTreeMap::new();
+        for (face, &triangle) in self.faces.iter().zip(&self.triangles) {
+            for (k, vertex) in surface.triangles[triangle as usize].into_iter().enumerate() {
+                let position = self.position(face.points[k]);
+                if position != surface.positions[vertex as usize] {
+                    moved.insert(surface.point_of[vertex as usize], position);
+                }
+                let Wedge { of, weights, .. } = self.wedges[face.wedges[k] as usize];
+                let is_itself = |(v, w): (u32, f64)| w == 0.0 || v == vertex;
+                if !of.into_iter().zip(weights).all(is_itself) {
+                    let flat = false;
+                    blended.insert(
+                        vertex,
+                        BlendedVertex {
+                            vertex,
+                            of,
+                            weights,
+                            flat,
+                        },
+                    );
+                }
+            }
+        }
+        SurfacePatch {
+            moved: moved.into_iter().collect(),
+            blended: blended.into_values().collect(),
+            warnings: self.warnings,
+            ..SurfacePatch::default()
+        }
+    }
+
+    /// Does the same as [`into_patch`](Self::into_patch) for a mesh of which new points may have left the range of numbers. `gone` are triangles outside the
     /// mesh that go as well, in any order.
     ///
     /// # Errors

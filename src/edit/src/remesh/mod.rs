@@ -11,9 +11,11 @@
 mod deviation;
 mod feature_lines;
 mod passes;
+mod relax;
 mod remesher;
 mod sizing;
 
+pub use relax::relax_region;
 pub use sizing::{
     ASPECT, DEVIATION, LENGTH_DEVIATION, MENDED, MOST_TRIANGLES, RemeshOptions, RemeshTarget, SHARP_DEGREES, STRETCH,
 };
@@ -166,7 +168,7 @@ fn run_passes(work: &mut Remesher<'_>, expected: f64, progress: &dyn Progress) -
         if round > 0 && split + collapsed + turned == 0 {
             break;
         }
-        passes::smooth_points(work, progress)?;
+        passes::smooth_points(work, 1.0, progress)?;
         if round >= 2 && split + collapsed + turned < edges / SETTLED {
             break;
         }
@@ -176,7 +178,7 @@ fn run_passes(work: &mut Remesher<'_>, expected: f64, progress: &dyn Progress) -
             break;
         }
         passes::even_valences(work, progress)?;
-        passes::smooth_points(work, progress)?;
+        passes::smooth_points(work, 1.0, progress)?;
     }
     work.refresh_sources(progress)
 }

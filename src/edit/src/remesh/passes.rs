@@ -185,8 +185,9 @@ fn neighbour_middle(work: &Remesher, p: u32) -> DVec3 {
     around.iter().map(|&q| work.mesh.position(q)).sum::<DVec3>() / around.len().max(1) as f64
 }
 
-/// Moves inner points towards the middle of their neighbours, along the surface, and points of lines along those.
-pub(super) fn smooth_points(work: &mut Remesher, progress: &dyn Progress) -> Result<(), Error> {
+/// Moves inner points by a part of the way, up to 1, towards the middle of their neighbours, along the surface, and points of
+/// lines along those.
+pub(super) fn smooth_points(work: &mut Remesher, part: f64, progress: &dyn Progress) -> Result<(), Error> {
     let mut done = 0;
     for p in 0..work.constraints.len() as u32 {
         check_work(work, &[p], &mut done, progress)?;
@@ -204,7 +205,13 @@ pub(super) fn smooth_points(work: &mut Remesher, progress: &dyn Progress) -> Res
                     .beside
                     .map(|q| work.curves.chain_segment(p, q).map(|piece| piece.at[1]));
                 if let [Some(s), Some(t)] = ends {
-                    work.slide_on_line(p, on, 0.5 * (s + t), accept);
+                    let middle = 0.5 * (s + t);
+                    let at = if part < 1.0 {
+                        on.at + (middle - on.at) * part
+                    } else {
+                        middle
+                    };
+                    work.slide_on_line(p, on, at, accept);
                 }
             }
             PointConstraint::OnSurface(_) => {
@@ -213,7 +220,7 @@ pub(super) fn smooth_points(work: &mut Remesher, progress: &dyn Progress) -> Res
                 let normal: DVec3 = normals.map(|&f| work.mesh.area_normal(f)).sum();
                 let normal = normal.normalize_or_zero();
                 let step = middle - here;
-                let step = step - normal * normal.dot(step);
+                let step = (step - normal * normal.dot(step)) * part;
                 if step.length() <= still || !step.is_finite() {
                     continue;
                 }

@@ -136,6 +136,8 @@ fn every_edit_comes_back_as_it_was_asked_for() {
         format!(r#"{{"subdivide": {{"region": {region}, "scheme": "MIDPOINT"}}}}"#),
         r#"{"subdivide": {}}"#.into(),
         r#"{"subdivide": {"auto": true}}"#.into(),
+        r#"{"subdivide": {"creaseDegrees": 30, "creases": [1, 2, 2, 7], "creasePrimitives": true, "sharpness": 0.5}}"#
+            .into(),
         format!(r#"{{"decimate": {{"ratio": 0.3, "region": {region}}}}}"#),
         format!(r#"{{"delete": {{"fill": true, "region": {region}}}}}"#),
         format!(r#"{{"fill": {{"region": {region}}}}}"#),
@@ -143,6 +145,10 @@ fn every_edit_comes_back_as_it_was_asked_for() {
         format!(r#"{{"remesh": {{"edgeLength": 0.1, "region": {region}}}}}"#),
         r#"{"remesh": {"auto": true}}"#.into(),
         r#"{"remesh": {"auto": true, "maxDeviation": 0.01, "sharpDegrees": 25}}"#.into(),
+        r#"{"smooth": {}}"#.into(),
+        format!(
+            r#"{{"smooth": {{"kind": "RELAX", "iterations": 3, "strength": 0.25, "sharpDegrees": 30, "region": {region}}}}}"#
+        ),
         r#"{"merge": {"session": "x", "how": "LOOSE", "tolerance": 0.1, "format": "obj"}}"#.into(),
         r#"{"merge": {"session": "x", "how": "STITCH", "transform": [1,0,0,0, 0,2,0,0, 0,0,3,0, 4,5,6,1]}}"#.into(),
         r#"{"insertCurve": {"points": [0, 0, 0, 1, 0, 0], "closed": false}}"#.into(),

@@ -185,7 +185,7 @@ class Session(Declared):
     async def edit(
         self, *, on: Literal["current", "rest"] = "current", **operation: Unpack[edits.EditFields]
     ) -> edits.EditResult:
-        """Changes the topology: one of ``cut``, ``subdivide``, ``decimate``, ``delete``, ``fill``, ``remesh``,
+        """Changes the topology: one of ``cut``, ``subdivide``, ``decimate``, ``delete``, ``fill``, ``remesh``, ``smooth``,
         ``merge``, ``insert_curve`` and ``weld``.
 
         Afterwards ``vertices`` and ``info`` are new, and streams have to be opened again.

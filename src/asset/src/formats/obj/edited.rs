@@ -44,16 +44,16 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<WrittenFiles, Er
             all.get(run.base as usize).and_then(Option::as_ref),
         );
     }
+    let name_line = |name: &&str| format!("usemtl {}", printable(name)).into_bytes();
+    let cap_lines: Vec<Vec<u8>> = edited.cap_materials().iter().map(name_line).collect();
     let mut faces = EditedFaces::default();
     for run in edited.runs.iter().filter(|r| r.triangle_count > 0) {
         if let Some(Some(statements)) = all.get(run.base as usize) {
-            faces.add_run(
-                &mut out,
-                run,
-                divide_corners(edited, run, positions, statements),
-                statements,
-                (output.run_faces)(run).as_ref(),
-            );
+            let mut parted = divide_corners(edited, run, positions, statements);
+            if let Some(line) = edited.cap_number(run).and_then(|cap| cap_lines.get(cap)) {
+                parted.take_cap(edited.cap_uv(run), line);
+            }
+            faces.add_run(&mut out, run, parted, statements, (output.run_faces)(run).as_ref());
         }
     }
     faces.write_faces(&mut out);

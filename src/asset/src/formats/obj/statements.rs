@@ -181,6 +181,16 @@ pub(super) struct CornerAttributes<'a> {
     pub states: Vec<FaceState<'a>>,
 }
 
+impl<'a> CornerAttributes<'a> {
+    /// Gives the run of a cap its own texture coordinates, one per vertex, and the line that names its material.
+    pub fn take_cap(&mut self, uv: &[[f32; 2]], material: &'a [u8]) {
+        let coordinates = uv.iter().map(|[u, v]| vec![f64::from(*u), 1.0 - f64::from(*v)]);
+        self.textures = coordinates.map(TextureCoordinate::New).collect();
+        self.corner_textures = self.triangles.iter().map(|t| Some(*t)).collect();
+        self.states.iter_mut().for_each(|state| state.material = Some(material));
+    }
+}
+
 /// Texture coordinates.
 pub(super) enum TextureCoordinate<'a> {
     /// The words of an old line.

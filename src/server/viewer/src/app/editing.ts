@@ -45,6 +45,13 @@ export async function remesh(): Promise<void> {
   });
 }
 
+/** Takes wrinkles off the selection or everything, or evens its triangles where they are. */
+export async function smooth(kind: "SMOOTH" | "RELAX"): Promise<void> {
+  await edit(kind === "RELAX" ? "Relaxing" : "Smoothing", {
+    operation: { case: "smooth", value: { ...region(), kind: schema.EditRequest_Smooth_Kind[kind] } },
+  });
+}
+
 /** The selection as a region; without one there is none, which means the whole model. */
 function region(): { region?: ReturnType<typeof regionOf> } {
   const marks = s.selection.peek();

@@ -1,8 +1,8 @@
-/** Operations on the topology: cut, subdivide, remesh. */
+/** Operations on the topology: cut, subdivide, smooth, remesh. */
 
 import type { JSX } from "preact";
 import { useState } from "preact/hooks";
-import { type CutChoice, cut, remesh, subdivide } from "../app/editing.ts";
+import { type CutChoice, cut, remesh, smooth, subdivide } from "../app/editing.ts";
 import * as s from "../app/signals.ts";
 import { view } from "../app/view.ts";
 import { Button, Check, Choice, Field, NumberInput, Section, count } from "./parts.tsx";
@@ -22,9 +22,10 @@ export function EditPanel(): JSX.Element {
       )}
       <Cut disabled={refused !== undefined} />
       <p class="hint">
-        {selected > 0 ? `The next two work on the ${count(selected)} selected vertices.` : "The next two work on the whole model; paint a region to limit them."}
+        {selected > 0 ? `The next three work on the ${count(selected)} selected vertices.` : "The next three work on the whole model; paint a region to limit them."}
       </p>
       <Subdivide disabled={refused !== undefined} />
+      <Smooth disabled={refused !== undefined} />
       <Remesh disabled={refused !== undefined} />
     </Section>
   );
@@ -127,6 +128,19 @@ function Subdivide({ disabled }: { disabled: boolean }): JSX.Element {
         />
         <span class="gap" />
         <Button label="Subdivide" onClick={() => void subdivide(scheme)} />
+      </div>
+    </fieldset>
+  );
+}
+
+function Smooth({ disabled }: { disabled: boolean }): JSX.Element {
+  return (
+    <fieldset disabled={disabled}>
+      <legend>Smooth</legend>
+      <div class="row">
+        <span class="gap" />
+        <Button label="Relax" onClick={() => void smooth("RELAX")} />
+        <Button label="Smooth" onClick={() => void smooth("SMOOTH")} />
       </div>
     </fieldset>
   );

@@ -97,6 +97,11 @@ impl<'a> AttributeBlender<'a> {
         Self { edited, run, first }
     }
 
+    /// The texture coordinates of a run that is a cap with a material of its own.
+    pub(super) fn cap_uv(&self) -> Option<&'a [[f32; 2]]> {
+        self.edited.cap_material(self.run).map(|_| self.edited.cap_uv(self.run))
+    }
+
     /// How many vertices the run has.
     pub(super) fn len(&self) -> usize {
         self.run.vertex_count as usize

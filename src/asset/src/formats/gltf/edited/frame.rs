@@ -127,7 +127,13 @@ fn version_of_mesh<'a>(
                 None => primitives.push(old.to_owned()),
                 Some(made) => {
                     as_stored = false;
-                    primitives.push(primitive_text(old, &made));
+                    let mut text = primitive_text(old, &made);
+                    if let Some(cap) = maker.edited.cap_number(run) {
+                        let stored = list_of(maker.doc.text, "materials").len();
+                        text = without_extensions(&text, &["KHR_materials_variants"]);
+                        text = with_member(&text, "material", stored + cap);
+                    }
+                    primitives.push(text);
                 }
             }
         }

@@ -32,7 +32,7 @@ pub(super) fn join_bases(
     frame: &EditedMeshes,
     output: &EditedOutput<'_>,
 ) -> Result<JoinedBases, Error> {
-    let mut joined = JoinedBases::default();
+    let mut joined = JoinedBases::of_caps(output.edited);
     let EditedOutput { edited, positions, .. } = *output;
     for (i, base) in edited.bases.iter().enumerate().skip(1) {
         let own: Vec<&PrimitiveRun> = edited.runs_with_triangles(i as u32).collect();
@@ -126,8 +126,10 @@ impl<'a> BaseJoiner<'_, 'a> {
                     let row = &notes.rows[run.primitive as usize];
                     let space = MeshSpace::OfNode(world_from_root * root_from_mesh);
                     let made = maker.make_primitive(run, row, space)?;
-                    let material = match index_of(stored, "material") {
-                        Some(m) => {
+                    let own = list_of(self.frame.text, "materials").len();
+                    let material = match (self.edited.cap_number(run), index_of(stored, "material")) {
+                        (Some(cap), _) => Some(own + cap),
+                        (None, Some(m)) => {
                             let mut to = CopyTarget {
                                 frame: self.frame,
                                 fresh: self.fresh,
@@ -135,7 +137,7 @@ impl<'a> BaseJoiner<'_, 'a> {
                             };
                             palette.copy_material(m, &mut to)?
                         }
-                        None => None,
+                        (None, None) => None,
                     };
                     // Sheared meshes are written as they stand in the world, for which stored targets are not made.
                     let targets = here.is_some();

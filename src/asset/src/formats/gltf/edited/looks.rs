@@ -8,7 +8,7 @@ use super::super::text::{index_of, list_of, quoted, with_member, without_keys};
 use super::blended::{AttributeBlender, read};
 use crate::edited::{EditedModel, PrimitiveRun};
 use crate::look::{AlphaMode, BaseLook, MaterialPicture, NamedMaterial, inside_folder};
-use crate::neutral::RunAttributes;
+use crate::neutral::{CAP_COLOUR, RunAttributes};
 use crate::{Error, FileSet};
 use bytes::Bytes;
 use serde_json::{Map, Value};
@@ -442,6 +442,22 @@ pub(super) struct JoinedBases {
 }
 
 impl JoinedBases {
+    /// Nothing but the materials of caps, which so come first.
+    pub(super) fn of_caps(edited: &EditedModel<'_>) -> Self {
+        let [r, g, b, a] = CAP_COLOUR;
+        let text = |name: &&str| {
+            let name = quoted(name);
+            let base = format!(r#"{{"baseColorFactor":[{r},{g},{b},{a}],"metallicFactor":0}}"#);
+            (format!(r#"{{"name":{name},"pbrMetallicRoughness":{base}}}"#), None)
+        };
+        let materials: Vec<JoinedItem> = edited.cap_materials().iter().map(text).collect();
+        let mut joined = Self::default();
+        if !materials.is_empty() {
+            joined.sections.insert("materials", materials);
+        }
+        joined
+    }
+
     pub(super) fn is_empty(&self) -> bool {
         self.nodes.is_empty()
     }

@@ -271,7 +271,16 @@ impl<'a> PrimitiveMaker<'a, '_> {
         mixer: &AttributeBlender<'_>,
         attributes: &mut AccessorNumbers,
     ) -> Result<(), Error> {
+        let cap_uv = mixer.cap_uv();
+        if let Some(uv) = cap_uv {
+            let at = self.fresh.add_floats(uv.as_flattened(), "VEC2", AccessorKind::Floats);
+            attributes.insert("TEXCOORD_0".into(), at);
+        }
+        let is_look = |name: &str| name.starts_with("TEXCOORD_") || name.starts_with("COLOR_");
         for (name, accessor) in &primitive.attributes {
+            if cap_uv.is_some() && is_look(name) {
+                continue;
+            }
             let skin = name.starts_with("JOINTS_") || name.starts_with("WEIGHTS_");
             if attributes.contains_key(name) || (skin && !self.is_frame) {
                 continue;
@@ -291,7 +300,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
                 } else {
                     mixer.blend_linearly(&channel)
                 };
-                if name.starts_with("TEXCOORD_") || name.starts_with("COLOR_") {
+                if is_look(name) {
                     // Vertices that were only copied bring what the file had; in what is written here that is not a number.
                     let wrong = values.iter_mut().filter(|v| !v.is_finite());
                     wrong.for_each(|v| *v = 0.0);
