@@ -466,7 +466,7 @@ fn a_figure_gets_its_rig_along_any_axis_and_what_is_none_a_picture() {
     rig("lying.stl", "--up z --front z", lying)
         .exits(2)
         .gives(&["--front: is z"]);
-    // Standing on its side it is no figure, and the picture shows why.
+    // Standing on its side it is not a figure, and the picture shows why.
     rig("lying.stl", "--up x --picture why.png", lying).exits(2).gives(&[
         "with x up",
         "--at NAME=x,y,z",

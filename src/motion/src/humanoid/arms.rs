@@ -202,7 +202,7 @@ impl BodySearch {
             "the shoulders are not at one height".into()
         });
         let width = 0.5 * (left.shoulder().x - right.shoulder().x).abs() / self.extent.y;
-        judged.lower(between(width, 0.3, 0.2), || {
+        judged.lower(between(width, 0.36, 0.28), || {
             "the shoulders are far out, where the arms are not yet the trunk".into()
         });
         judged.lower(between(width, 0.01, 0.04), || {

@@ -16,7 +16,7 @@ const STARTS: [f64; 5] = [0.01, 0.05, 0.09, 0.13, 0.18];
 /// Rows of one part of a row, of a leg, over those of the smallest leg that counts.
 const LEAST_SHARE: f64 = 0.15;
 
-/// How legs were told from each other.
+/// How legs were separated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum LegGap {
     /// Nothing is between them.

@@ -47,7 +47,7 @@ pub(super) const SIDES: [SideNames; 2] = [
 const TRUNK: [&str; 6] = ["hips", "spine", "chest", "neck", "head", "headEnd"];
 
 /// A figure that stands one way.
-pub(super) struct Figure {
+pub(super) struct StandingFigure {
     pub(super) axes: BodyAxes,
     pub(super) search: BodySearch,
     pub(super) legs: Legs,
@@ -81,7 +81,7 @@ impl PlacedBody {
 /// An arm of each side, with what is wrong with it.
 pub(super) type JudgedArms = [Option<(Arm, Judged)>; 2];
 
-impl Figure {
+impl StandingFigure {
     pub(super) fn standing(lattice: &BodyLattice, axes: BodyAxes, given: &BTreeMap<&'static str, DVec3>) -> Self {
         let turn = axes.upright_from_model();
         let search = BodySearch::of_lattice(lattice.turned(turn));

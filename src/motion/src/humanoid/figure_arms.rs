@@ -1,7 +1,7 @@
 //! Which limbs of a figure are its arms, and what stands in for one that is not clear.
 
 use super::arms::{Arm, Judged};
-use super::figure::{BONE_STEPS, ELBOW, Figure, JudgedArms, SIDES, SideNames, WRIST};
+use super::figure::{BONE_STEPS, ELBOW, JudgedArms, SIDES, SideNames, StandingFigure, WRIST};
 use super::joint_chain::{bend_of, place_along};
 use glam::DVec3;
 use pliant_exec::Exec;
@@ -11,7 +11,7 @@ use pliant_exec::progress::Cancelled;
 const MIRRORED: f64 = 0.8;
 /// What a pair counts, of which one is mirrored, against one that is found.
 const BAD_PAIR: f64 = 0.6;
-impl Figure {
+impl StandingFigure {
     /// The pair of limbs that looks most like arms. Where only one of them does, it is mirrored.
     pub(super) fn chosen_arms(&self, exec: &Exec<'_>) -> Result<JudgedArms, Cancelled> {
         let search = &self.search;
@@ -26,6 +26,10 @@ impl Figure {
         for (side, arms) in SIDES.iter().zip(&mut sides) {
             self.trust_given_arm(side, arms);
         }
+        let clear = sides.iter().flatten().filter(|(_, judged)| judged.score > BAD_PAIR);
+        let longest = clear.map(|(arm, _)| arm.length()).fold(f64::MIN_POSITIVE, f64::max);
+        // Of two limbs the one that was followed farther is the likelier arm: ears are shorter.
+        let followed = |arm: &Arm| (arm.length() / longest).min(1.0);
         let [left, right] = &sides;
         let mut best: Option<(f64, JudgedArms)> = None;
         let mut keep = |rank: f64, arms: JudgedArms| {
@@ -38,12 +42,10 @@ impl Figure {
                 let pair = search.judge_pair([&l.0, &r.0]);
                 let mut both = [l.clone(), r.clone()];
                 both.iter_mut().for_each(|(_, judged)| judged.lower_as(&pair));
-                let rank = both[0].1.score.min(both[1].1.score);
+                let rank = both[0].1.score.min(both[1].1.score) * followed(&l.0).max(followed(&r.0));
                 keep(rank, both.map(Some));
             }
         }
-        let clear = sides.iter().flatten().filter(|(_, judged)| judged.score > BAD_PAIR);
-        let longest = clear.map(|(arm, _)| arm.length()).fold(f64::MIN_POSITIVE, f64::max);
         for (k, arms) in sides.iter().enumerate() {
             for own in arms {
                 let others = sides[1 - k].iter().map(|other| &other.0);
@@ -51,10 +53,10 @@ impl Figure {
                 for mut other in completed.chain(self.mirrored_arm(&SIDES[1 - k], own)) {
                     let pair = search.judge_pair([&own.0, &other.0]);
                     other.1.lower_as(&pair);
+                    let reach = followed(&own.0);
                     let mut own = own.clone();
                     own.1.lower_as(&pair);
-                    // Of two arms the one that was followed farther is the better one.
-                    let rank = BAD_PAIR * own.1.score.min(other.1.score) * (own.0.length() / longest).min(1.0);
+                    let rank = BAD_PAIR * own.1.score.min(other.1.score) * reach;
                     let both = [Some(own), Some(other)];
                     let [a, b] = both;
                     keep(rank, if k == 0 { [a, b] } else { [b, a] });
@@ -112,7 +114,7 @@ impl Figure {
         let is_inside = is_inside.count() as f64 > 0.6 * f64::from(BONE_STEPS + 1);
         let mut completed = limb.clone();
         completed.line.push(shoulder);
-        // A bulge of the trunk is no limb.
+        // A bulge of the trunk is not a limb.
         let is_limb = limb.radius < 1.4 * arm.radius && limb.length() > 0.4 * arm.length();
         let ratio = completed.length() / arm.length();
         let mut judged = judged.clone();

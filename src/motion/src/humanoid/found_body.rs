@@ -6,7 +6,7 @@
 use super::body_axes::BodyAxes;
 use super::body_lattice::BodyLattice;
 use super::body_search::LegGap;
-use super::figure::Figure;
+use super::figure::StandingFigure;
 use crate::signed_axis::SignedAxis;
 use glam::DVec3;
 use pliant_exec::Exec;
@@ -48,7 +48,7 @@ pub struct FoundBody {
 }
 
 impl FoundBody {
-    fn of_figure(figure: &Figure, exec: &Exec<'_>) -> Result<Self, Cancelled> {
+    fn of_figure(figure: &StandingFigure, exec: &Exec<'_>) -> Result<Self, Cancelled> {
         let model_from_upright = figure.axes.upright_from_model().transpose();
         let joints = figure.joints(exec)?.joints.into_iter().map(|(name, (at, judged))| {
             let joint = FoundJoint {
@@ -112,12 +112,12 @@ pub fn find_body(
     };
     for (place, (axes, is_front_known)) in candidates.into_iter().enumerate() {
         exec.check()?;
-        let standing = |axes: BodyAxes| Figure {
+        let standing = |axes: BodyAxes| StandingFigure {
             is_up_known,
-            ..Figure::standing(&lattice, axes, given)
+            ..StandingFigure::standing(&lattice, axes, given)
         };
         let figure = standing(axes);
-        // What has no legs is no figure, however it may stand otherwise.
+        // What has no legs is not a figure, however it may stand otherwise.
         if place > 1 && figure.legs.gap == LegGap::Missing {
             continue;
         }

@@ -2,10 +2,10 @@
 
 use super::arms::{Judged, between};
 use super::body_search::{LegGap, PERSON};
-use super::figure::{BONE_STEPS, Figure, JudgedArms, PlacedBody, SIDES};
+use super::figure::{BONE_STEPS, JudgedArms, PlacedBody, SIDES, StandingFigure};
 use glam::DVec3;
 
-impl Figure {
+impl StandingFigure {
     /// Lowers the scores of all joints, or those of legs, by how the whole stands.
     pub(super) fn judge_stance(&self, arms: &JudgedArms, placed: &mut PlacedBody) {
         let (search, legs) = (&self.search, &self.legs);
