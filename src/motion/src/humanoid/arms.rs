@@ -134,16 +134,19 @@ impl BodySearch {
             if bands[band].1 > GROWTH * before && bands[band + 1].1 > GROWTH * before {
                 // The joint lies where it begins to grow, not where it is all trunk.
                 let small = (hand..band).rev().find(|b| bands[*b].1 <= SWELLING * before);
-                last = Some(small.unwrap_or(band.saturating_sub(1)));
+                let least = band.saturating_sub(1 + bands_of(0.03 * height) as usize);
+                last = Some(small.unwrap_or(0).max(least));
                 break;
             }
         }
         let Some(last) = last.filter(|band| *band > 3) else {
             return (None, 0);
         };
-        let line: Vec<DVec3> = bands[..=last].iter().map(|b| b.0).collect();
+        let mut line: Vec<DVec3> = bands[..=last].iter().map(|b| b.0).collect();
+        let inwards = (line[last] - line[last - 3]).normalize_or_zero();
         let radius_of = |cells: f64| self.lattice.side * (cells / cells_a_band / std::f64::consts::PI).sqrt();
         let counts = |range: std::ops::Range<usize>| median(bands[range].iter().map(|b| b.1).collect());
+        line.push(line[last] + inwards * (0.8 * radius_of(bands[last].1)).min(0.05 * height));
         let third = (last / 3).max(1);
         let arm = Arm {
             line,
