@@ -8,8 +8,9 @@ use super::terminal::{CliFailure, StageSpinner, ThreadArgs, pretty_text, print_v
 use crate::asset::{CarryingJoints, Model, SkinnedClip};
 use crate::engine::{MadeRig, RigOrder, bind_model, carrying_joints, left_out_of_rig, left_out_primitives, make_rig};
 use crate::exec::Exec;
+use crate::motion::SignedAxis;
 use crate::motion::bvh::{ClipLimits, read_bvh};
-use crate::motion::humanoid::BODY_JOINTS;
+use crate::motion::humanoid::{BODY_JOINTS, BodyAxes};
 use crate::motion::rig::ReferencePose;
 use crate::pool::Pool;
 use crate::render::{BoneMarks, Camera, Picture, PictureSize, ShadedSurface, UpAxis, ViewDirection, draw_surface};
@@ -42,6 +43,12 @@ pub struct RigArgs {
     /// JSON file of joint positions, {"lElbow": [x, y, z], …}, or a rig with these joint names
     #[arg(long, value_name = "FILE")]
     landmarks: Option<PathBuf>,
+    /// Vertical of the model, from feet to head [default: the axis that fits best]
+    #[arg(long, value_name = "AXIS", allow_hyphen_values = true, value_parser = SignedAxis::NAMES)]
+    up: Option<String>,
+    /// Axis that the figure faces, another one than that of --up [default: the axis that fits best]
+    #[arg(long, value_name = "AXIS", allow_hyphen_values = true, value_parser = SignedAxis::NAMES)]
+    front: Option<String>,
     /// Output file of the rig (.json)
     #[arg(short, long, value_name = "RIG")]
     output: PathBuf,
@@ -72,6 +79,16 @@ pub(super) fn run_rig(args: &RigArgs) -> Result<(), CliFailure> {
         args.permission.check_target(path)?;
     }
     let landmarks = args.joints()?;
+    let [up, front] = [&args.up, &args.front].map(|name| name.as_deref().and_then(SignedAxis::named));
+    if let (Some(up), Some(front)) = (up, front)
+        && up.direction().dot(front.direction()) != 0.0
+    {
+        let problem = format!(
+            "--front: is {}, the axis of --up; a figure faces along another one",
+            front.name()
+        );
+        return Err(CliFailure::Input(problem));
+    }
     let clip = args
         .bvh
         .as_ref()
@@ -87,6 +104,8 @@ pub(super) fn run_rig(args: &RigArgs) -> Result<(), CliFailure> {
         clip: clip.as_ref(),
         preset: args.preset.as_deref(),
         landmarks,
+        up,
+        front,
     };
     let mut made = make_rig(&model, &order, &Exec::new(&pool, &spinner))?;
     made.warnings.extend(left_out_of_rig(&model)?);
@@ -95,10 +114,14 @@ pub(super) fn run_rig(args: &RigArgs) -> Result<(), CliFailure> {
     let of = args.model.file_name().unwrap_or_default().to_string_lossy();
     let text = pretty_text(&wire::json::to_json(&wire::rig_message(&made.rig, &names, &of))?)?;
     let drawn = picture.as_ref().map(|_| draw_rig(&model, &made, &pool)).transpose()?;
-    args.permission.write_file(&args.output, text.as_bytes())?;
     if let (Some(path), Some(drawn)) = (&picture, drawn) {
         args.permission.write_file(path, &drawn)?;
     }
+    if let Err(error) = made.check() {
+        let shown = picture.map_or_else(String::new, |path| format!("; {} shows them in red", path.display()));
+        return Err(CliFailure::Input(format!("{error}{shown}")));
+    }
+    args.permission.write_file(&args.output, text.as_bytes())?;
     if args.json {
         return print_value(&report(&made, &args.output, picture.as_deref()));
     }
@@ -113,7 +136,8 @@ pub(super) fn run_rig(args: &RigArgs) -> Result<(), CliFailure> {
         } else {
             String::new()
         };
-        eprintln!("{:<12} {x:9.4} {y:9.4} {z:9.4}  {place}{moved}", joint.name);
+        let score = joint.score;
+        eprintln!("{:<12} {x:9.4} {y:9.4} {z:9.4}  {score:.2} {place}{moved}", joint.name);
     }
     let shown = picture.map_or_else(String::new, |p| format!(", drawn in {}", p.display()));
     eprintln!(
@@ -127,9 +151,19 @@ pub(super) fn run_rig(args: &RigArgs) -> Result<(), CliFailure> {
 }
 
 fn report(made: &MadeRig, output: &Path, picture: Option<&Path>) -> Value {
-    let joints = made.joints.iter().map(
-        |joint| json!({"name": joint.name, "at": joint.at.to_array(), "inside": joint.inside, "moved": joint.moved}),
-    );
+    let joints = made.joints.iter().map(|joint| {
+        let mut value = json!({
+            "name": joint.name,
+            "at": joint.at.to_array(),
+            "inside": joint.inside,
+            "moved": joint.moved,
+            "score": joint.score,
+        });
+        if !joint.reason.is_empty() {
+            value["reason"] = joint.reason.as_str().into();
+        }
+        value
+    });
     let bones = made
         .rig
         .bones
@@ -137,11 +171,16 @@ fn report(made: &MadeRig, output: &Path, picture: Option<&Path>) -> Value {
         .map(|bone| json!({"id": bone.id, "joint": bone.joint, "radius": bone.radius}));
     let mut report = json!({
         "source": made.source,
+        "score": made.score(),
         "joints": joints.collect::<Vec<_>>(),
         "bones": bones.collect::<Vec<_>>(),
         "warnings": made.warnings,
         "output": output.display().to_string(),
     });
+    if let Some(axes) = made.axes {
+        report["up"] = axes.up.name().into();
+        report["front"] = axes.front.name().into();
+    }
     if let ReferencePose::Frame(frame) = made.rig.reference {
         report["referenceFrame"] = frame.into();
     }
@@ -161,15 +200,22 @@ fn draw_rig(model: &Model, made: &MadeRig, pool: &Pool) -> Result<Vec<u8>, CliFa
     let triangles: Vec<[u32; 3]> = (model.triangles.iter().copied())
         .filter(|[corner, ..]| is_drawn[*corner as usize])
         .collect();
-    let surface = ShadedSurface::new(&model.positions, &triangles, pool)?;
+    // Pictures have y up and are seen from the front.
+    let turn = made.axes.unwrap_or(BodyAxes::USUAL).upright_from_model();
+    let positions: Vec<DVec3> = model.positions.iter().map(|p| turn * *p).collect();
+    let surface = ShadedSurface::new(&positions, &triangles, pool)?;
     let views = [
         ViewDirection::new(0.0, 0.0, UpAxis::Y)?,
         ViewDirection::new(90.0, 0.0, UpAxis::Y)?,
     ];
     let size = PictureSize::new(VIEW.0, VIEW.1)?;
     let marks = BoneMarks {
-        bones: made.rig.bones.iter().map(|bone| [bone.from, bone.to]).collect(),
-        joints: made.joints.iter().map(|joint| (joint.at, joint.inside)).collect(),
+        bones: (made.rig.bones.iter())
+            .map(|bone| [turn * bone.from, turn * bone.to])
+            .collect(),
+        joints: (made.joints.iter())
+            .map(|joint| (turn * joint.at, joint.inside && !MadeRig::is_doubtful(joint)))
+            .collect(),
     };
     let mut sheet = Picture::new(u64::from(2 * VIEW.0), u64::from(VIEW.1), [255; 3])?;
     for (k, camera) in (0u32..).zip(&Camera::around_surfaces(&[&surface], &views, size)) {

@@ -431,35 +431,52 @@ fn a_check_that_does_not_hold_prints_its_report_and_nothing_more() {
 }
 
 #[test]
-fn a_figure_that_was_made_for_other_axes_is_shown_its_turn() {
+fn a_figure_gets_its_rig_along_any_axis_and_what_is_none_a_picture() {
     let folder = Workplace::empty();
     folder.done("sample body -o body.glb");
     let bytes = folder.bytes("body.glb");
     let model = Model::read(FileSet::single("body.glb", bytes), None, &Limits::default()).expect("readable");
-    let rig = |name: &str, turned: fn([f64; 3]) -> [f64; 3]| {
+    let rig = |name: &str, options: &str, turned: fn([f64; 3]) -> [f64; 3]| {
         let places: Vec<_> = model.positions.iter().map(|p| turned(p.to_array()).into()).collect();
         let written = model.write(&places, Format::STL).expect("writable");
         folder.put(name, written.main);
-        folder.run(&format!("rig {name} -o rig.json --no-picture --force"))
+        folder.run(&format!("rig {name} -o rig.json --force --json {options}"))
     };
-    rig("upright.stl", |p| p).exits(0);
-    for (name, turned, words) in [
-        (
-            "aside.stl",
-            (|[x, y, z]| [-z, y, x]) as fn([f64; 3]) -> [f64; 3],
-            "a turn by 90 degrees about y corrects that",
-        ),
-        (
-            "lying.stl",
-            |[x, y, z]| [x, -z, y],
-            "a turn by -90 degrees about x corrects that",
-        ),
-    ] {
-        rig(name, turned).exits(2).gives(&[words]);
+    let upright = rig("upright.stl", "", |p| p).exits(0).json();
+    assert_eq!((&upright["up"], &upright["front"]), (&"y".into(), &"z".into()));
+    assert!(upright["score"].as_f64().expect("a score") > 0.9, "{upright}");
+    let lying: fn([f64; 3]) -> [f64; 3] = |[x, y, z]| [x, -z, y];
+    for options in ["", "--up z", "--up z --front -y", "--front=-y"] {
+        let found = rig("lying.stl", options, lying).exits(0).json();
+        assert_eq!(
+            (&found["up"], &found["front"]),
+            (&"z".into(), &"-y".into()),
+            "{options}"
+        );
+        let written: serde_json::Value = serde_json::from_slice(&folder.bytes("rig.json")).expect("JSON");
+        assert_eq!(written["up"], "z", "{options}");
+        let joints = |report: &serde_json::Value| report["joints"].as_array().expect("joints").clone();
+        for (own, other) in joints(&upright).iter().zip(joints(&found)) {
+            let place = |joint: &serde_json::Value| [0, 1, 2].map(|k| joint["at"][k].as_f64().expect("a number"));
+            let (wanted, at) = (lying(place(own)), place(&other));
+            let off = (0..3).map(|k| (wanted[k] - at[k]).abs()).fold(0.0, f64::max);
+            assert!(own["name"] == other["name"] && off < 0.02, "{options}: {own} {other}");
+        }
     }
-    let ran = rig("ball.stl", |[x, y, z]| {
+    rig("lying.stl", "--up z --front z", lying)
+        .exits(2)
+        .gives(&["--front: is z"]);
+    // Standing on its side it is not a figure, and the picture shows why.
+    rig("lying.stl", "--up x --picture why.png", lying).exits(2).gives(&[
+        "with x up",
+        "--at NAME=x,y,z",
+        "why.png shows them in red",
+    ]);
+    assert!(folder.bytes("why.png").starts_with(b"\x89PNG"));
+    rig("ball.stl", "", |[x, y, z]| {
         let length = (x * x + y * y + z * z).sqrt().max(1e-6);
         [x / length, y / length, z / length]
-    });
-    assert!(ran.code == Some(2) && !ran.last().contains("a turn by"), "{}", ran.err);
+    })
+    .exits(2)
+    .gives(&["joints are not sure"]);
 }

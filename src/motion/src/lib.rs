@@ -9,11 +9,13 @@ pub mod decomposition;
 pub mod humanoid;
 pub mod rig;
 mod scene_motion;
+mod signed_axis;
 mod skeleton;
 pub mod skin_weights;
 
 pub use curve::{CurveValue, Interpolation, KeyedCurve, SplinePlace};
 pub use scene_motion::{NodeOrder, SceneMotion, clip_of_scene};
+pub use signed_axis::SignedAxis;
 pub use skeleton::{BoneInfluences, JointCurves, JointPose, MotionClip, RecordedFrames, Skeleton, SkeletonJoint};
 
 /// Why a clip cannot be read. Lines count from 1.

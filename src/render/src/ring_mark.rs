@@ -112,7 +112,7 @@ const GLASS: f64 = 0.45;
 pub struct BoneMarks {
     /// Where bones begin and end: green lines, thinner at the end.
     pub bones: Vec<[DVec3; 2]>,
-    /// Where joints are, and whether that is inside the model: orange discs, red ones outside.
+    /// Where joints are, and whether they are right, such as inside the model: orange discs, red ones where not.
     pub joints: Vec<(DVec3, bool)>,
 }
 
@@ -133,14 +133,14 @@ impl BoneMarks {
         for [from, to] in &self.bones {
             stroke(picture, [seen(*from), seen(*to)], [thick, 0.4 * thick], ROTATION_COLOUR);
         }
-        for (at, inside) in &self.joints {
+        for (at, is_right) in &self.joints {
             let at = seen(*at);
             stroke(picture, [at, at], [1.6 * thick + 1.0; 2], RIM);
             stroke(
                 picture,
                 [at, at],
                 [1.6 * thick; 2],
-                if *inside { POSITION_COLOUR } else { OUTSIDE },
+                if *is_right { POSITION_COLOUR } else { OUTSIDE },
             );
         }
     }

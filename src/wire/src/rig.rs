@@ -3,6 +3,7 @@
 use super::check::{enumerated, number, points};
 use super::{Error, json, pb};
 use glam::DVec3;
+use pliant_motion::SignedAxis;
 use pliant_motion::rig::{MotionRig, ReferencePose, RestAttitude, RigBone};
 use serde_json::{Value, json};
 
@@ -77,7 +78,15 @@ pub fn motion_rig(rig: &pb::Rig) -> Result<MotionRig, Error> {
         Some(frame) => ReferencePose::Frame(frame as usize),
     };
     let scale = if rig.scale == 0.0 { None } else { Some(rig.scale) };
-    Ok(MotionRig::from_named_parents(bones, &parents, reference, scale)?)
+    let up = match rig.up.as_str() {
+        "" => SignedAxis::Y,
+        name => SignedAxis::named(name).ok_or_else(|| {
+            let problem = format!("is \"{name}\", allowed are {}", SignedAxis::NAMES.join(", "));
+            Error::invalid("up", problem)
+        })?,
+    };
+    let rig = MotionRig::from_named_parents(bones, &parents, reference, scale)?;
+    Ok(MotionRig { up, ..rig })
 }
 
 fn rig_bone(rig: &pb::Rig, bone: &pb::rig::Bone, at: &str) -> Result<RigBone, Error> {
@@ -136,6 +145,10 @@ pub fn rig_message(rig: &MotionRig, names: &[(&str, DVec3)], model: &str) -> pb:
         },
         scale: rig.scale.unwrap_or_default(),
         model: model.to_owned(),
+        up: match rig.up {
+            SignedAxis::Y => String::new(),
+            up => up.name().to_owned(),
+        },
         ..Default::default()
     };
     let begins = rig.bones.iter().map(|bone| (bone.id.as_str(), bone.from));

@@ -2,17 +2,28 @@
 //!
 //! A body has the joints of [`BODY_JOINTS`] and the bones of [`BODY_BONES`]. [`bones_of_names`] finds which joints of a
 //! clip turn which bone by their names, [`bones_of_shape`] by how the skeleton branches. [`find_body`] finds the joints
-//! in a mesh that stands upright and faces along z, in a lattice of the cells that it occupies: hands are the ends
-//! farthest along it, arms are between them and the trunk, a gap separates the legs. [`rig_of_body`] combines both: it
+//! in a mesh of an upright figure, in a lattice of the cells that it occupies: hands are the ends farthest along it, arms are
+//! between them and the trunk, a gap separates the legs. Each joint gets a score. [`rig_of_body`] combines both: it
 //! moves joints of limbs to the middle of what is around them, and makes bones as thick as that is.
 
+mod arms;
+mod body_axes;
+mod body_lattice;
+mod body_search;
+#[cfg(test)]
+mod body_tests;
 mod clip_bones;
+mod figure;
+mod figure_arms;
 mod found_body;
+mod joint_chain;
+mod joint_scores;
 
 use super::rig::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError};
 use super::skeleton::Skeleton;
+pub use body_axes::BodyAxes;
 pub use clip_bones::{BODY_BONES, BODY_JOINTS, BodyBone, ClipBones, bones_of_names, bones_of_shape, preset_skeleton};
-pub use found_body::{FoundBody, find_body};
+pub use found_body::{BodyOrder, FoundBody, FoundJoint, find_body};
 use glam::DVec3;
 use pliant_mesh::graph::WindingTree;
 use pliant_mesh::query::TriangleBvh;
@@ -121,6 +132,8 @@ pub fn rig_of_body(
             at,
             inside: tree.contains(at),
             moved: at.distance(joints[name]),
+            score: 1.0,
+            reason: String::new(),
         });
     }
     Ok(BodyRig {
@@ -183,6 +196,10 @@ pub struct PlacedJoint {
     pub inside: bool,
     /// How far it was moved to come to the middle, in model units.
     pub moved: f64,
+    /// How sure its place is, 0 to 1; 1 for one that is given.
+    pub score: f64,
+    /// What speaks against it; empty where nothing does.
+    pub reason: String,
 }
 
 /// Rays across an axis: how far each goes until it meets the surface; `None` for those that meet nothing.

@@ -1,5 +1,6 @@
 //! What a rig is made of, and whether it holds together.
 
+use crate::signed_axis::SignedAxis;
 use glam::DVec3;
 use std::collections::BTreeMap;
 
@@ -91,6 +92,8 @@ pub struct MotionRig {
     pub reference: ReferencePose,
     /// Model units for one unit of the clip; `None`: by the lengths of the bones.
     pub scale: Option<f64>,
+    /// The vertical of the model.
+    pub up: SignedAxis,
 }
 
 /// Why a rig cannot be used.
@@ -198,6 +201,7 @@ impl MotionRig {
             bones: sorted.collect(),
             reference,
             scale,
+            up: SignedAxis::Y,
         })
     }
 }

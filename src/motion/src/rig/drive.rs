@@ -6,6 +6,7 @@
 
 use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError, listed_names};
 use super::rigid_motion::{RigidMotion, rotation_about, twist_angle};
+use crate::signed_axis::SignedAxis;
 use crate::skeleton::MotionClip;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use pliant_mesh::rotation::fit_rotation;
@@ -112,7 +113,7 @@ impl RigDriver {
                 clip: (reference.places[joint], aim.map(|a| reference.places[a])),
             });
         }
-        let Heading { turn: heading, up } = heading(&pairs);
+        let Heading { turn: heading, up } = heading_for_vertical(&pairs, rig.up);
         let scale = options.scale.or(rig.scale).unwrap_or_else(|| scale(&rig.bones, &pairs));
         let mut root_origin = ClipState::at(&clip, options.start).places[joints[0]];
         if let ReferencePose::Frame(_) = fitted_to {
@@ -383,6 +384,24 @@ struct BonePair {
     pub model: [DVec3; 2],
     /// The end is `None` for a joint whose end is unknown.
     pub clip: (DVec3, Option<DVec3>),
+}
+
+/// The heading of a model whose vertical is any axis.
+fn heading_for_vertical(pairs: &[BonePair], up: SignedAxis) -> Heading {
+    if up == SignedAxis::Y {
+        return heading(pairs);
+    }
+    let stand = DQuat::from_rotation_arc(up.direction(), DVec3::Y);
+    let upright = |pair: &BonePair| BonePair {
+        model: pair.model.map(|p| stand * p),
+        ..*pair
+    };
+    let upright: Vec<BonePair> = pairs.iter().map(upright).collect();
+    let found = heading(&upright);
+    Heading {
+        turn: (stand.inverse() * found.turn).normalize(),
+        ..found
+    }
 }
 
 /// The turn about the vertical that lets a clip face as the model does: of all such turns the one that brings the clip's joints

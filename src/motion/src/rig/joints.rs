@@ -101,6 +101,7 @@ fn bone_attitude(bone: &RigBone) -> DQuat {
 mod tests {
     use super::*;
     use crate::rig::ReferencePose;
+    use crate::signed_axis::SignedAxis;
 
     #[test]
     fn joints_point_along_their_bones_wherever_these_go() {
@@ -109,6 +110,7 @@ mod tests {
                 bones: vec![RigBone::along("b", DVec3::ONE, DVec3::ONE + way, 1.0)],
                 reference: ReferencePose::Rest,
                 scale: None,
+                up: SignedAxis::Y,
             };
             let joint = &rig_joints(&rig)[0];
             assert!((joint.rest.rotation * DVec3::Y).distance(way.normalize()) < 1e-12);

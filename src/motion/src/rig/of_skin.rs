@@ -2,6 +2,7 @@
 
 use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError};
 use crate::scene_motion::NodeOrder;
+use crate::signed_axis::SignedAxis;
 use crate::skeleton::MotionClip;
 use glam::DVec3;
 use pliant_asset::MovingScene;
@@ -95,6 +96,7 @@ pub fn rig_of_skin(
         bones,
         reference: ReferencePose::Rest,
         scale: Some(1.0),
+        up: SignedAxis::Y,
     })
 }
 

@@ -9,12 +9,12 @@ use crate::engine::settings::{Passenger, PassengerKind};
 use crate::exec::Exec;
 use crate::graph::WindingTree;
 use crate::motion::humanoid::{
-    BODY_JOINTS, BodySkeleton, ClipBones, PlacedJoint, bones_of_names, bones_of_shape, find_body, preset_skeleton,
-    rig_of_body,
+    BODY_JOINTS, BodyAxes, BodyOrder, BodySkeleton, ClipBones, PlacedJoint, bones_of_names, bones_of_shape, find_body,
+    preset_skeleton, rig_of_body,
 };
 use crate::motion::rig::{MotionRig, ReferencePose, RigError, rig_joints, rig_of_skin, skin_bones};
 use crate::motion::skin_weights::{SkinWeightOptions, skin_weights};
-use crate::motion::{BoneInfluences, MotionClip, NodeOrder, Skeleton, clip_of_scene};
+use crate::motion::{BoneInfluences, MotionClip, NodeOrder, SignedAxis, Skeleton, clip_of_scene};
 use glam::DVec3;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -26,8 +26,12 @@ pub struct RigOrder<'a> {
     pub clip: Option<&'a MotionClip>,
     /// Without a clip, whose names its joints have; `None`: those of the model's own skin where it has one, else `cmu`.
     pub preset: Option<&'a str>,
-    /// Places of joints of a body, by name.
+    /// Places of joints of a body, by name. They stay, and joints that depend on them follow.
     pub landmarks: BTreeMap<&'static str, DVec3>,
+    /// From a figure's feet to its head; `None`: what fits best.
+    pub up: Option<SignedAxis>,
+    /// Where a figure faces; `None`: what fits best.
+    pub front: Option<SignedAxis>,
 }
 
 /// A rig that was made.
@@ -39,8 +43,63 @@ pub struct MadeRig {
     pub joints: Vec<PlacedJoint>,
     /// Where joints come from: `skin`, `names of the skin` or `shape`.
     pub source: &'static str,
+    /// How its body stands; `None` for a rig of a skin.
+    pub axes: Option<BodyAxes>,
     /// Its warnings, one line each.
     pub warnings: Vec<String>,
+}
+
+/// The score from which on a joint counts as found.
+const LEAST_SCORE: f64 = 0.5;
+/// Joints that an error describes.
+const DESCRIBED: usize = 3;
+
+impl MadeRig {
+    /// The score of the worst joint, 0 to 1.
+    pub fn score(&self) -> f64 {
+        self.joints.iter().map(|joint| joint.score).fold(1.0, f64::min)
+    }
+
+    /// Whether a joint's place is not sure enough for a rig.
+    pub fn is_doubtful(joint: &PlacedJoint) -> bool {
+        joint.score < LEAST_SCORE
+    }
+
+    /// Checks that all joints are sure enough.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] with the joints that are not, why, and what to do.
+    pub fn check(&self) -> Result<(), Error> {
+        let mut doubtful: Vec<&PlacedJoint> = self.joints.iter().filter(|joint| Self::is_doubtful(joint)).collect();
+        if doubtful.is_empty() {
+            return Ok(());
+        }
+        doubtful.sort_by(|a, b| a.score.total_cmp(&b.score).then(a.name.cmp(&b.name)));
+        let mut reasons: Vec<(&str, f64, Vec<&str>)> = Vec::new();
+        for joint in &doubtful {
+            match reasons.iter_mut().find(|known| known.0 == joint.reason) {
+                Some(known) => known.2.push(&joint.name),
+                None => reasons.push((&joint.reason, joint.score, vec![&joint.name])),
+            }
+        }
+        let lines = reasons
+            .iter()
+            .take(DESCRIBED)
+            .map(|(reason, score, names)| format!("{} {score:.2} ({reason})", names.join(", ")));
+        let axes = self.axes.map_or_else(String::new, |axes| {
+            format!(
+                " as a figure with {} up that faces {}",
+                axes.up.name(),
+                axes.front.name()
+            )
+        });
+        let problem = format!(
+            "joints are not sure{axes}; scores below {LEAST_SCORE}: {}; give joints with --at NAME=x,y,z or --landmarks FILE, or how \
+             the figure stands with --up and --front",
+            lines.collect::<Vec<_>>().join("; ")
+        );
+        Err(RigError::field("model", problem).into())
+    }
 }
 
 /// The surface that bones are found in: what a skin places where the model has a skin, else all of it.
@@ -89,7 +148,7 @@ pub fn left_out_of_rig(model: &Model) -> Result<Vec<String>, Error> {
 }
 
 /// Makes a rig of a model: that of its own skin where neither a clip nor a preset asks for other names, else one of a body whose
-/// joints are given, named by the skin, or found in the shape.
+/// joints are given, named by the skin, or found in the shape. [`MadeRig::check`] says whether they are sure enough.
 ///
 /// # Errors
 /// [`Error::Invalid`] for a clip whose joints are no body's, or a model that has no place for some joint.
@@ -125,29 +184,36 @@ pub fn make_rig(model: &Model, order: &RigOrder<'_>, exec: &Exec<'_>) -> Result<
         source = "names of the skin";
     }
     let fixed: Vec<&str> = joints.keys().copied().collect();
-    if BODY_JOINTS.iter().any(|name| !joints.contains_key(name)) {
-        let found = find_body(&body.positions, &body.triangles, exec).map_err(|_| Error::Cancelled)?;
-        if fixed.is_empty() {
-            source = "shape";
-            if found.is_none {
-                let turned = turn_to_a_figure(&body.positions, &body.triangles, exec)?;
-                return Err(not_upright(&found.doubts, turned));
-            }
+    let found = match BODY_JOINTS.iter().all(|name| joints.contains_key(name)) && order.up.is_some() {
+        true => None,
+        false => {
+            let known = BodyOrder {
+                given: Some(&joints),
+                up: order.up,
+                front: order.front,
+            };
+            Some(find_body(&body.positions, &body.triangles, &known, exec).map_err(|_| Error::Cancelled)?)
         }
-        if fixed.len() < BODY_JOINTS.len() / 2 {
-            warnings.extend(found.doubts);
-        }
-        found
-            .joints
-            .into_iter()
-            .for_each(|(name, at)| _ = joints.entry(name).or_insert(at));
+    };
+    if fixed.is_empty() {
+        source = "shape";
     }
+    let places = found.iter().flat_map(|found| &found.joints);
+    places.for_each(|(name, joint)| _ = joints.entry(name).or_insert(joint.at));
     let tree = WindingTree::build(&body.positions, &body.triangles, exec.pool);
     let clip = BodySkeleton {
         skeleton,
         bones: &bones,
     };
-    let made = rig_of_body(&tree, &body.positions, &joints, &fixed, clip, reference)?;
+    let mut made = rig_of_body(&tree, &body.positions, &joints, &fixed, clip, reference)?;
+    for joint in &mut made.joints {
+        let found = found.as_ref().and_then(|found| found.joints.get(joint.name.as_str()));
+        if let Some(found) = found {
+            (joint.score, joint.reason) = (found.score, found.reason.clone());
+        }
+    }
+    let axes = found.map(|found| found.axes);
+    made.rig.up = axes.map(|axes| axes.up).or(order.up).unwrap_or_default();
     let outside = made.joints.iter().filter(|j| !j.inside).map(|j| j.name.as_str());
     let outside: Vec<&str> = outside
         .filter(|name| !name.ends_with("End") && !name.ends_with("Toe"))
@@ -161,52 +227,26 @@ pub fn make_rig(model: &Model, order: &RigOrder<'_>, exec: &Exec<'_>) -> Result<
             "{names} {lie} outside of the model; --at puts a joint elsewhere"
         ));
     }
+    let unsure = made.joints.iter().filter(|joint| !joint.reason.is_empty());
+    let mut reasons: Vec<(&str, Vec<&str>)> = Vec::new();
+    for joint in unsure.filter(|joint| !MadeRig::is_doubtful(joint)) {
+        match reasons.iter_mut().find(|known| known.0 == joint.reason) {
+            Some(known) => known.1.push(&joint.name),
+            None => reasons.push((&joint.reason, vec![&joint.name])),
+        }
+    }
+    warnings.extend(
+        reasons
+            .iter()
+            .map(|(reason, names)| format!("{}: {reason}", names.join(", "))),
+    );
     Ok(MadeRig {
         rig: made.rig,
         joints: made.joints,
         source,
+        axes,
         warnings,
     })
-}
-
-/// Where a turn takes a point.
-type PointTurn = fn(DVec3) -> DVec3;
-
-/// Quarter turns, each with its name in words, for figures that were made for other axes.
-const TURNS: [(&str, PointTurn); 4] = [
-    ("90 degrees about y", |p| DVec3::new(p.z, p.y, -p.x)),
-    ("-90 degrees about y", |p| DVec3::new(-p.z, p.y, p.x)),
-    ("-90 degrees about x", |p| DVec3::new(p.x, p.z, -p.y)),
-    ("90 degrees about x", |p| DVec3::new(p.x, -p.z, p.y)),
-];
-
-/// The turn by which a model that does not look like an upright figure does; `None` when none does.
-fn turn_to_a_figure(
-    positions: &[DVec3],
-    triangles: &[[u32; 3]],
-    exec: &Exec<'_>,
-) -> Result<Option<&'static str>, Error> {
-    for (words, quarter) in TURNS {
-        let turned: Vec<DVec3> = positions.iter().copied().map(quarter).collect();
-        let found = find_body(&turned, triangles, exec).map_err(|_| Error::Cancelled)?;
-        if !found.is_none {
-            return Ok(Some(words));
-        }
-    }
-    Ok(None)
-}
-
-fn not_upright(doubts: &[String], turned: Option<&str>) -> Error {
-    let turned = turned.map_or_else(String::new, |turn| {
-        format!("a turn by {turn} corrects that: turn the model in the program that it comes from, or ")
-    });
-    let problem = format!(
-        "it does not look like a figure that stands upright and faces along z ({}); {turned}give joints with --at NAME=x,y,z or \
-         --landmarks FILE: {}",
-        doubts.join("; "),
-        BODY_JOINTS.join(", ")
-    );
-    RigError::field("model", problem).into()
 }
 
 /// The rig of a model's skin and its rest skeleton; `None` without a skin.
@@ -229,11 +269,14 @@ fn rig_of_own_skin(rig: &MotionRig) -> MadeRig {
         at: bone.from,
         inside: true,
         moved: 0.0,
+        score: 1.0,
+        reason: String::new(),
     };
     MadeRig {
         rig: rig.clone(),
         joints: rig.bones.iter().map(joint).collect(),
         source: "skin",
+        axes: None,
         warnings: Vec::new(),
     }
 }

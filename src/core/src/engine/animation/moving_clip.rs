@@ -230,7 +230,8 @@ fn rig_for_clip(model: &Model, clip: &MotionClip, exec: &Exec<'_>) -> Result<Mad
         clip: Some(clip),
         ..Default::default()
     };
-    make_rig(model, &order, exec).map_err(|error| match error {
+    let made = make_rig(model, &order, exec).and_then(|made| made.check().map(|()| made));
+    made.map_err(|error| match error {
         Error::Invalid { .. } => Error::invalid("rig", format!("is missing, and pliant rig finds none: {error}")),
         other => other,
     })
