@@ -27,6 +27,7 @@
 //! on the way. What depends on the model is checked here; an [`Error`] names the field of the request.
 
 mod animation;
+mod buckles;
 mod carry;
 mod deformer;
 mod derived_structures;

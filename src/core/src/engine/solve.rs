@@ -8,6 +8,7 @@ use crate::deform::{
     unfold_faces,
 };
 use crate::engine::Deformer;
+use crate::engine::buckles::BuckleWatch;
 use crate::engine::deformer::CommittedShape;
 use crate::engine::edit_command::{Edit, EditCommand, EditOutcome, EditedShape};
 use crate::engine::error::Error;
@@ -22,7 +23,7 @@ use crate::pool::Pool;
 use crate::reference::{Method, diffuse, linear_frames};
 use glam::{DVec3, Mat3};
 use rayon::prelude::*;
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
 impl Deformer {
     /// Returns `poses` with those that `changes` names replaced.
@@ -133,14 +134,28 @@ impl Deformer {
             .settle(body, handle_system, &solved.frames, &mut solved.positions, exec.pool);
         if mode == SolveMode::Commit && settings.method != Method::SpatialRbf {
             exec.progress.begin_pass("unfold");
-            let surroundings = OnceLock::new();
             unfold_faces(
                 &derived.mesh,
-                &surroundings,
+                &derived.surroundings,
                 handle_system,
                 &mut solved.positions,
                 exec.pool,
             );
+            if settings.watches_fits() {
+                let watch = BuckleWatch {
+                    mesh: &derived.mesh,
+                    thin: &derived.thin,
+                    surroundings: &derived.surroundings,
+                    body,
+                    handles: handle_system,
+                    request: PoseRequest {
+                        first_pass: FirstPass::Harmonic,
+                        ..request
+                    },
+                    exec,
+                };
+                solved = watch.unbuckled(solved, state)?;
+            }
         }
         exec.progress.begin_pass("render");
         let positions = Arc::new(shape.render(&solved.positions, &solved.frames, &transforms));
