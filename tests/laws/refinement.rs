@@ -68,7 +68,7 @@ fn refinement_bends_what_is_only_moved() {
     assert!(some < 0.2 * plain && more < 0.05 * plain, "{plain} {some} {more}");
 }
 
-/// Edges at which neighbours lie folded onto each other (their normals over 120° apart, under 90° at rest), and crossing triangles.
+/// Edges at which neighbours lie folded onto each other (their normals over 120° apart, under 90° in the rest pose), and crossing triangles.
 fn folds_and_crossings(bench: &Deformer, (rest, faces): &Shape, now: &[DVec3]) -> (usize, u32) {
     let normal = |at: &[DVec3], f: &[u32; 3]| {
         let [a, b, c] = f.map(|v| at[v as usize]);

@@ -86,6 +86,6 @@ pub use pose::{
     FirstPass, FitOrder, PoseRequest, PoseStats, Quality, SolutionExtent, SolveStart, SolveUpdate, SolvedNodes,
 };
 pub use rotation::{Transform, blend_rotations, exp_rotation, fade, fit_rigid_motion, log_rotation};
-pub use second_pass::{SecondPassEquations, SolveState, TurnChange};
+pub use second_pass::{SecondPassEquations, SolveState, TurnChange, TurnChangeKind};
 pub use surface_faults::{FreeSurface, SurfaceFaults};
 pub use thin_faces::NeedlesAndCaps;

@@ -10,30 +10,30 @@ use rayon::prelude::*;
 use std::sync::OnceLock;
 
 /// Neighbours are folded onto each other where the cosine of the angle between their normals is below this (120°), and was above 0
-/// at rest.
+/// in the rest pose.
 const FOLDED: f64 = -0.5;
 /// An edge is sharp where the cosine is below this (60°),
 const SHARP: f64 = 0.5;
-/// and by this less than at rest.
+/// and by this less than in the rest pose.
 const SHARPER: f64 = 0.25;
 /// Faces that one piece of work handles at least.
 const PIECE: usize = 4096;
 
-/// The part of a surface that handles leave free, at rest.
+/// The part of a surface that handles leave free, in the rest pose.
 pub struct FreeSurface<'a> {
     mesh: &'a Mesh,
     /// By face: whether it has a free corner.
     is_free: Vec<bool>,
-    /// Neighbours across an edge, one of them free at least, with the cosine of the angle between their normals at rest.
+    /// Neighbours across an edge, one of them free at least, with the cosine of the angle between their normals in the rest pose.
     pairs: Vec<([u32; 2], f64)>,
 }
 
 /// What is wrong with a shape.
 #[derive(Debug, Clone, Default)]
 pub struct SurfaceFaults {
-    /// Pairs of faces that cross and did not at rest, one of them free at least.
+    /// Pairs of faces that cross and did not in the rest pose, one of them free at least.
     pub crossings: Vec<[u32; 2]>,
-    /// Pairs of neighbours that are folded onto each other and were not at rest.
+    /// Pairs of neighbours that are folded onto each other and were not in the rest pose.
     pub folds: Vec<[u32; 2]>,
 }
 
@@ -104,7 +104,7 @@ impl<'a> FreeSurface<'a> {
         })
     }
 
-    /// Pairs that cross and did not at rest, one of them asked for at least.
+    /// Pairs that cross and did not in the rest pose, one of them asked for at least.
     fn crossings(&self, now: &[DVec3], is_asked: &[bool], exec: &Exec<'_>) -> Result<Vec<[u32; 2]>, Cancelled> {
         let Mesh {
             positions, triangles, ..

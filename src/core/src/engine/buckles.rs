@@ -1,4 +1,4 @@
-//! Fits of rotations that nobody asked for, kept from making a commit worse.
+//! Fits of rotations in a commit that asks for none, kept from making a commit worse.
 //!
 //! A fit brings rotations nearer to the shape that was solved with those before it. Where a surface is squeezed (a nape, the inside
 //! of an elbow) it may follow a wrinkle, and make it a fold. So the fitted shape is looked at: around faces that are folded onto
@@ -6,16 +6,16 @@
 //! around them, then further wherever that was not enough. At last there is the pose without fits. The shape with the fewest
 //! faults of all of these is kept, the earlier one of equals, so the fitted pose stays, bit for bit, where nothing is better.
 
+use super::derived_structures::DerivedStructures;
 use super::error::Error;
 use super::handle::{Falloff, FalloffCurve};
 use super::resolved_handles::fading_weights;
 use crate::deform::{
-    DeformableBody, FaceSurroundings, FreeSurface, HandleSystem, LocalRotation, NeedlesAndCaps, PoseRequest, Quality,
-    SolveState, SolvedNodes, SurfaceFaults, TurnChange, unfold_faces,
+    FreeSurface, HandleSystem, LocalRotation, PoseRequest, Quality, SolveState, SolvedNodes, SurfaceFaults, TurnChange,
+    TurnChangeKind, unfold_faces,
 };
 use crate::exec::Exec;
 use crate::mesh::{Mesh, signed_volume, surface_area};
-use std::sync::OnceLock;
 
 /// How often the pose is solved again with smoother rotations.
 const ROUNDS: u8 = 3;
@@ -35,13 +35,10 @@ const FOLD: usize = 4;
 
 /// What a commit is solved on, for a look at its faults.
 pub(super) struct BuckleWatch<'a> {
-    pub mesh: &'a Mesh,
-    pub thin: &'a NeedlesAndCaps,
-    pub surroundings: &'a OnceLock<FaceSurroundings>,
-    pub body: &'a DeformableBody,
-    pub handles: &'a HandleSystem,
-    pub request: PoseRequest<'a>,
-    pub exec: &'a Exec<'a>,
+    derived: &'a DerivedStructures,
+    handles: &'a HandleSystem,
+    request: PoseRequest<'a>,
+    exec: &'a Exec<'a>,
 }
 
 /// A shape with its faults and what fits have added to the rotations of the first pass.
@@ -63,19 +60,41 @@ struct FaultPlaces {
     covered: Vec<u8>,
 }
 
-impl BuckleWatch<'_> {
+impl<'a> BuckleWatch<'a> {
+    /// Watches a pose of handles, by harmonic fields.
+    pub fn of(
+        derived: &'a DerivedStructures,
+        handles: &'a HandleSystem,
+        request: PoseRequest<'a>,
+        exec: &'a Exec<'a>,
+    ) -> Self {
+        Self {
+            derived,
+            handles,
+            request,
+            exec,
+        }
+    }
+
+    /// Brings back what turned over, as in every commit.
+    pub fn unfold(&self, solved: &mut SolvedNodes) {
+        self.exec.progress.begin_pass("unfold");
+        let DerivedStructures { mesh, surroundings, .. } = self.derived;
+        unfold_faces(mesh, surroundings, self.handles, &mut solved.positions, self.exec.pool);
+    }
+
     /// Returns the fitted pose, which `state` has, or a better one.
     ///
     /// # Errors
     /// [`Error::Cancelled`], and those of a solve.
     pub fn unbuckled(&self, fitted: SolvedNodes, state: &mut SolveState) -> Result<SolvedNodes, Error> {
-        let vertices = self.mesh.positions.len();
-        if state.added_turns().len() != self.body.nodes() {
+        let vertices = self.derived.mesh.positions.len();
+        if state.added_turns().len() != self.derived.body.nodes() {
             return Ok(fitted);
         }
         self.exec.progress.begin_pass("faults");
         let given = &self.handles.given()[..vertices];
-        let surface = FreeSurface::of(self.mesh, self.surroundings, given, self.exec.pool);
+        let surface = FreeSurface::of(&self.derived.mesh, &self.derived.surroundings, given, self.exec.pool);
         if !surface.is_suspect(&fitted.positions[..vertices], self.exec)? {
             return Ok(fitted);
         }
@@ -106,7 +125,7 @@ impl BuckleWatch<'_> {
         };
         let solved = self
             .handles
-            .solve(self.body, &request, state, self.exec, &mut |_| true)?;
+            .solve(&self.derived.body, &request, state, self.exec, &mut |_| true)?;
         self.finished(surface, solved, Vec::new())
     }
 
@@ -121,18 +140,22 @@ impl BuckleWatch<'_> {
     ) -> Result<(), Error> {
         let fits = best.turns.clone();
         let mut places = FaultPlaces {
-            level: vec![0; self.mesh.positions.len()],
-            covered: vec![0; self.body.nodes()],
+            level: vec![0; self.derived.mesh.positions.len()],
+            covered: vec![0; self.derived.body.nodes()],
         };
         let nearest = self.nearest();
         for _ in 0..ROUNDS {
             let before = best.cost();
             let weights = self.weights_around(&best.faults, nearest, &mut places)?;
             let mut turns = fits.clone();
-            for change in [TurnChange::Smooth, TurnChange::FitPartly(REACH)] {
-                let of = (&turns[..], &weights[..]);
+            for kind in [TurnChangeKind::Smooth, TurnChangeKind::FitPartly(REACH)] {
+                let change = TurnChange {
+                    kind,
+                    turns: &turns,
+                    weights: &weights,
+                };
                 let (solved, changed) =
-                    (self.handles).solve_changed(self.body, &self.request, change, of, state, self.exec)?;
+                    (self.handles).solve_changed(&self.derived.body, &self.request, &change, state, self.exec)?;
                 turns.clone_from(&changed);
                 let candidate = self.finished(surface, solved, changed)?;
                 if candidate.cost() < best.cost() {
@@ -157,10 +180,13 @@ impl BuckleWatch<'_> {
         turns: Vec<LocalRotation>,
     ) -> Result<Candidate, Error> {
         let SolvedNodes { positions, frames, .. } = &mut solved;
-        (self.thin).settle(self.body, self.handles, frames, positions, self.exec.pool);
-        unfold_faces(self.mesh, self.surroundings, self.handles, positions, self.exec.pool);
+        self.derived
+            .thin
+            .settle(&self.derived.body, self.handles, frames, positions, self.exec.pool);
+        self.unfold(&mut solved);
+        let positions = &solved.positions;
         self.exec.progress.begin_pass("faults");
-        let faults = surface.faults(&positions[..self.mesh.positions.len()], self.exec)?;
+        let faults = surface.faults(&positions[..self.derived.mesh.positions.len()], self.exec)?;
         Ok(Candidate { solved, turns, faults })
     }
 
@@ -168,13 +194,13 @@ impl BuckleWatch<'_> {
     fn nearest(&self) -> f64 {
         let Mesh {
             positions, triangles, ..
-        } = self.mesh;
+        } = &self.derived.mesh;
         let edge = |t: &[u32; 3]| positions[t[0] as usize].distance(positions[t[1] as usize]);
         let edges = triangles.iter().map(edge).sum::<f64>() / triangles.len().max(1) as f64;
         let depth =
             signed_volume(positions, triangles).abs() / surface_area(positions, triangles).max(f64::MIN_POSITIVE);
         // An open surface may have any volume.
-        (DEPTH * depth.min(0.1 * self.body.diagonal)).max(EDGES * edges)
+        (DEPTH * depth.min(0.1 * self.derived.body.diagonal)).max(EDGES * edges)
     }
 
     /// By node how far rotations are smoothed, 0 to 1.
@@ -186,10 +212,10 @@ impl BuckleWatch<'_> {
     ) -> Result<Vec<f32>, Error> {
         let FaultPlaces { level, covered } = places;
         let faces = faults.crossings.iter().chain(&faults.folds).flatten();
-        for &v in faces.flat_map(|&t| &self.mesh.triangles[t as usize]) {
+        for &v in faces.flat_map(|&t| &self.derived.mesh.triangles[t as usize]) {
             level[v as usize] = level[v as usize].max(covered[v as usize] + 1);
         }
-        let mut weights = vec![0.0f32; self.body.nodes()];
+        let mut weights = vec![0.0f32; self.derived.body.nodes()];
         covered.fill(0);
         for round in 1..=ROUNDS {
             let core: Vec<u32> = (0u32..)
@@ -204,7 +230,7 @@ impl BuckleWatch<'_> {
                 radius: nearest * libm::pow(FURTHER, f64::from(round - 1)),
                 curve: FalloffCurve::Smooth,
             };
-            let around = fading_weights(self.body, &core, falloff, self.exec)?;
+            let around = fading_weights(&self.derived.body, &core, falloff, self.exec)?;
             for (node, weight) in core.iter().map(|&v| (v, 1.0)).chain(around) {
                 let weight = (WHOLE * weight).min(1.0) as f32;
                 weights[node as usize] = weights[node as usize].max(weight);

@@ -5,7 +5,6 @@
 
 use crate::deform::{
     DeformableBody, FirstPass, HandleSystem, PoseRequest, Quality, SolutionExtent, SolveStart, SolveUpdate, Transform,
-    unfold_faces,
 };
 use crate::engine::Deformer;
 use crate::engine::buckles::BuckleWatch;
@@ -133,27 +132,9 @@ impl Deformer {
             .thin
             .settle(body, handle_system, &solved.frames, &mut solved.positions, exec.pool);
         if mode == SolveMode::Commit && settings.method != Method::SpatialRbf {
-            exec.progress.begin_pass("unfold");
-            unfold_faces(
-                &derived.mesh,
-                &derived.surroundings,
-                handle_system,
-                &mut solved.positions,
-                exec.pool,
-            );
+            let watch = BuckleWatch::of(derived, handle_system, request, exec);
+            watch.unfold(&mut solved);
             if settings.watches_fits() {
-                let watch = BuckleWatch {
-                    mesh: &derived.mesh,
-                    thin: &derived.thin,
-                    surroundings: &derived.surroundings,
-                    body,
-                    handles: handle_system,
-                    request: PoseRequest {
-                        first_pass: FirstPass::Harmonic,
-                        ..request
-                    },
-                    exec,
-                };
                 solved = watch.unbuckled(solved, state)?;
             }
         }

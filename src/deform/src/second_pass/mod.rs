@@ -9,5 +9,5 @@ mod smoother;
 pub(super) mod state;
 
 pub use equations::SecondPassEquations;
-pub use smoother::TurnChange;
+pub use smoother::{TurnChange, TurnChangeKind};
 pub use state::SolveState;

@@ -27,8 +27,19 @@ const MOST_STEPS: usize = 200;
 const LEAST_WEIGHT: f32 = 1e-3;
 
 /// What is done to the rotations of a solved pose before it is solved again.
+#[derive(Debug, Clone, Copy)]
+pub struct TurnChange<'a> {
+    /// What is done.
+    pub kind: TurnChangeKind,
+    /// By node what was added to the first pass's rotations ([`SolveState::added_turns`]).
+    pub turns: &'a [LocalRotation],
+    /// By node where that is changed and how far, 0 to 1.
+    pub weights: &'a [f32],
+}
+
+/// A kind of change of rotations.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum TurnChange {
+pub enum TurnChangeKind {
     /// What fits have added to them is smoothed, as far as the weights say.
     Smooth,
     /// They are fitted once more where weights are not 0, this far: 1 is to the rotation that fits best.
@@ -36,9 +47,8 @@ pub enum TurnChange {
 }
 
 impl HandleSystem {
-    /// Solves a pose again that `state` has a solution of, with other rotations: `turns` is what was added to the first pass's
-    /// ([`SolveState::added_turns`]), and `weights` says by node where that is changed and how far, 0 to 1. Also returns what is
-    /// added to the first pass's rotations now.
+    /// Solves a pose again that `state` has a solution of, with other rotations. Also returns what is added to the first pass's
+    /// rotations now.
     ///
     /// # Errors
     /// [`Error::Solver`], [`Error::Cancelled`]. `state` stays usable after either.
@@ -46,8 +56,7 @@ impl HandleSystem {
         &self,
         body: &DeformableBody,
         request: &PoseRequest<'_>,
-        change: TurnChange,
-        (turns, weights): (&[LocalRotation], &[f32]),
+        change: &TurnChange<'_>,
         state: &mut SolveState,
         exec: &Exec<'_>,
     ) -> Result<(SolvedNodes, Vec<LocalRotation>), Error> {
@@ -61,10 +70,11 @@ impl HandleSystem {
         };
         let first = FirstRotations::of(body, self, request, exec.pool);
         let fit = RotationFit::new(body, self, request, &moved_parts, &first);
+        let TurnChange { kind, turns, weights } = *change;
         let is_open = |node: usize| fit.is_open(node) && weights[node] >= LEAST_WEIGHT;
-        let added = match change {
-            TurnChange::Smooth => smoothed(body, turns, weights, is_open),
-            TurnChange::FitPartly(reach) => {
+        let added = match kind {
+            TurnChangeKind::Smooth => smoothed(body, turns, weights, is_open),
+            TurnChangeKind::FitPartly(reach) => {
                 let before = fit.resume(turns, exec.pool);
                 let after = fit.step(&before, &state.x, exec.pool);
                 let between = |node: usize| match is_open(node) {
