@@ -68,6 +68,84 @@ fn refinement_bends_what_is_only_moved() {
     assert!(some < 0.2 * plain && more < 0.05 * plain, "{plain} {some} {more}");
 }
 
+/// Edges at which neighbours lie folded onto each other (their normals over 120° apart, under 90° in the rest pose), and crossing triangles.
+fn folds_and_crossings(bench: &Deformer, (rest, faces): &Shape, now: &[DVec3]) -> (usize, u32) {
+    let normal = |at: &[DVec3], f: &[u32; 3]| {
+        let [a, b, c] = f.map(|v| at[v as usize]);
+        (b - a).cross(c - a).normalize_or_zero()
+    };
+    let mut sides: std::collections::BTreeMap<[u32; 2], Vec<&[u32; 3]>> = Default::default();
+    for f in faces {
+        for k in 0..3 {
+            let (a, b) = (f[k], f[(k + 1) % 3]);
+            sides.entry([a.min(b), a.max(b)]).or_default().push(f);
+        }
+    }
+    let cosine = |at: &[DVec3], pair: &[&[u32; 3]]| normal(at, pair[0]).dot(normal(at, pair[1]));
+    let pairs = sides.values().filter(|faces| faces.len() == 2);
+    let folds = pairs
+        .filter(|pair| cosine(now, pair) < -0.5 && cosine(rest, pair) > 0.0)
+        .count();
+    let exec_pool = pool(2);
+    let found = bench
+        .measure(now, true, &Exec::new(&exec_pool, &Silent))
+        .expect("no cancel");
+    (folds, found.self_intersections.expect("asked for"))
+}
+
+#[test]
+fn fits_that_nobody_asked_for_add_no_folds_and_no_crossings() {
+    let shape = shapes::cylinder(0.5, 3.0, 40, 60, true);
+    let aside = |x: f64, z: f64| shift(DVec3::new(x, 0.0, z));
+    let nod = |angle: f64| turn(DVec3::X * angle, DVec3::Z * 1.5);
+    let cases = [
+        (0.4, aside(0.6, -0.2), true),
+        (0.8, aside(0.6, -0.2), false),
+        (0.4, nod(1.57), true),
+        (0.6, nod(1.92), true),
+    ];
+    for (free, pose, must_help) in cases {
+        let mut bench = bench(&shape);
+        set(
+            &mut bench,
+            vec![
+                handle("base", below(1.49 - 0.5 * free)),
+                handle("top", above(1.51 + 0.5 * free)),
+            ],
+        );
+        let poses = posed(&bench, &[("top", pose)]);
+        let mut commit = |settings: SolveSettings| {
+            let shape = run(&mut bench, &poses, &settings, SolveMode::Commit);
+            (shape.positions.to_vec(), shape)
+        };
+        let default = SolveSettings::default();
+        let (watched, again) = (commit(default).0, commit(default).0);
+        assert_eq!(digest(&watched), digest(&again));
+        let as_they_come = commit(SolveSettings {
+            unbuckles: false,
+            ..default
+        });
+        let mut asked = default;
+        asked.quality.refine = Some(4);
+        assert_eq!(
+            digest(&commit(asked).0),
+            digest(&as_they_come.0),
+            "fits that are asked for stay as they are"
+        );
+        asked.quality.refine = Some(0);
+        let plain = commit(asked).0;
+        let [watched, fitted, plain] =
+            [watched, as_they_come.0, plain].map(|now| folds_and_crossings(&bench, &shape, &now));
+        println!("{free}: fitted {fitted:?}, without fits {plain:?}, by default {watched:?}");
+        assert!(watched.0 <= plain.0.max(fitted.0) && watched.1 <= plain.1.max(fitted.1));
+        let cost = |(folds, crossings): (usize, u32)| 4 * folds as u32 + crossings;
+        assert!(cost(watched) <= cost(fitted).min(cost(plain)));
+        if must_help {
+            assert!(cost(watched) < cost(fitted), "{fitted:?} became {watched:?}");
+        }
+    }
+}
+
 #[test]
 fn without_refinement_nothing_but_the_two_passes_happens() {
     let mut bench = bent_bar();

@@ -47,6 +47,11 @@ impl FaceSurroundings {
         }
     }
 
+    /// Triangles around a vertex, rising.
+    pub(crate) fn faces_of(&self, vertex: u32) -> &[u32] {
+        self.faces.of(vertex)
+    }
+
     /// Bytes held on the heap.
     pub fn byte_size(&self) -> usize {
         self.adjacency.byte_size() + self.faces.byte_size()

@@ -56,6 +56,7 @@
 //! | `second_pass` | equation (8), fitting rotations to its result, and poses of a drag |
 //! | `thin_faces` | needles and caps, which follow the shape around them |
 //! | `folds` | faces that turned over, brought back where nothing forces them |
+//! | `surface_faults` | folds and crossings of a shape, counted |
 
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
@@ -69,6 +70,7 @@ mod pose;
 mod rotation;
 mod second_pass;
 mod solve;
+mod surface_faults;
 mod thin_faces;
 
 pub use body::{BodyOptions, CoarseOperators, DeformableBody, EdgeWeights, TieFamilies, TieOptions, VolumeMode};
@@ -84,5 +86,6 @@ pub use pose::{
     FirstPass, FitOrder, PoseRequest, PoseStats, Quality, SolutionExtent, SolveStart, SolveUpdate, SolvedNodes,
 };
 pub use rotation::{Transform, blend_rotations, exp_rotation, fade, fit_rigid_motion, log_rotation};
-pub use second_pass::{SecondPassEquations, SolveState};
+pub use second_pass::{SecondPassEquations, SolveState, TurnChange, TurnChangeKind};
+pub use surface_faults::{FreeSurface, SurfaceFaults};
 pub use thin_faces::NeedlesAndCaps;

@@ -142,7 +142,7 @@ impl PoseSolve<'_> {
         };
         let coarse = fit.as_ref().filter(|fit| self.may_begin_coarse(first, fit));
         let coarse = coarse.map(|fit| self.fit_coarse_first(fit, posed, state, &mut tally));
-        let mut stats = match coarse {
+        let stats = match coarse {
             Some(Err(Error::Solver(_))) => {
                 // Poses beyond the range of single precision.
                 state.forget();
@@ -152,11 +152,23 @@ impl PoseSolve<'_> {
             Some(solved) => solved?,
             None => self.fit_in_turn(fit.as_ref(), posed, state, &mut tally)?,
         };
+        self.finish(stats, posed, state, &mut tally)
+    }
+
+    /// Makes rigid regions rigid, and takes the solution out of `state`, which keeps it relative to nothing.
+    pub(crate) fn finish(
+        &self,
+        mut stats: pliant_solver::SolveStats,
+        posed: &mut PosedHandles,
+        state: &mut SolveState,
+        tally: &mut SolveTally<'_>,
+    ) -> Result<SolvedNodes, Error> {
+        let (handles, body, request, pool) = (self.handles, self.body, self.request, self.exec.pool);
         if let Some(rigid) = &handles.rigid {
             handles.make_regions_rigid(body, request.transforms, &mut posed.frames, &mut state.x);
             self.assemble(posed, state);
             let start = pliant_solver::InitialGuess::Given;
-            stats = self.run(rigid, start, 0.0, state, &mut tally)?;
+            stats = self.run(rigid, start, 0.0, state, tally)?;
         }
 
         self.exec.progress.begin_pass("place");
@@ -249,7 +261,7 @@ impl PoseSolve<'_> {
     }
 
     /// Fills the right-hand side for `posed`.
-    fn assemble(&self, posed: &PosedHandles, state: &mut SolveState) {
+    pub(crate) fn assemble(&self, posed: &PosedHandles, state: &mut SolveState) {
         self.exec.progress.begin_pass("equations");
         let transforms = self.request.transforms;
         state.rhs.resize(3 * self.body.nodes(), 0.0);
@@ -257,7 +269,7 @@ impl PoseSolve<'_> {
     }
 
     /// Solves the equations in `state`: to what the request asks for, or only to the error `rough`.
-    fn run(
+    pub(crate) fn run(
         &self,
         constrained: &ConstrainedSystem,
         start: pliant_solver::InitialGuess<'_>,
@@ -341,7 +353,7 @@ fn resumed(fit: &RotationFit<'_>, carried: bool, state: &SolveState, pool: &Pool
 }
 
 /// Sizes `state` and fills `state.x`, around the pose's centre: given values, and the start of a warm solve.
-fn prepare(
+pub(crate) fn prepare(
     body: &DeformableBody,
     handles: &HandleSystem,
     posed: &PosedHandles,

@@ -49,6 +49,76 @@ pub fn self_intersections(positions: &[DVec3], triangles: &[[u32; 3]], exec: &Ex
     })
 }
 
+/// The pairs of triangles that cross and of which at least one `is_asked` for, each with the smaller number first, rising. What
+/// crosses, and the time that it takes, are those of [`self_intersections`]; triangles far from all that are asked for cost next
+/// to nothing.
+///
+/// # Errors
+/// [`Cancelled`] when `progress` says so.
+///
+/// # Panics
+/// When a triangle names a position that does not exist, or `is_asked` has not one entry for each.
+pub fn crossings_of(
+    positions: &[DVec3],
+    triangles: &[[u32; 3]],
+    is_asked: &[bool],
+    exec: &Exec<'_>,
+) -> Result<Vec<[u32; 2]>, Cancelled> {
+    let asked: Vec<u32> = (0..triangles.len() as u32).filter(|&t| is_asked[t as usize]).collect();
+    if asked.is_empty() {
+        return Ok(Vec::new());
+    }
+    exec.pool.install(|| {
+        let points: Vec<DVec3> = positions.par_iter().map(|p| p.as_vec3().as_dvec3()).collect();
+        let box_of = |t: u32| BoundingBox::of(&triangles[t as usize].map(|v| points[v as usize]));
+        let around = asked.iter().map(|&t| box_of(t)).reduce(|a, b| BoundingBox {
+            min: a.min.min(b.min),
+            max: a.max.max(b.max),
+        });
+        let near: Vec<u32> = (0..triangles.len() as u32)
+            .into_par_iter()
+            .filter(|&t| is_asked[t as usize] || around.as_ref().is_some_and(|around| around.overlaps(&box_of(t))))
+            .collect();
+        let corners: Vec<[u32; 3]> = near.iter().map(|&t| triangles[t as usize]).collect();
+        let surface = BoxedTriangles::build(&points, &corners, exec);
+        exec.check()?;
+        let order = surface.bvh.triangle_order();
+        let places: Vec<usize> = (0..order.len())
+            .filter(|&p| is_asked[near[order[p] as usize] as usize])
+            .collect();
+        let found: Result<Vec<Vec<[u32; 2]>>, Cancelled> = places
+            .par_chunks(BLOCK)
+            .map(|places| {
+                let mut found = Vec::new();
+                for &place in places {
+                    exec.check()?;
+                    surface.for_crossings(place, 0, |other| {
+                        let [own, theirs] = [place, other].map(|p| near[order[p] as usize]);
+                        if !is_asked[theirs as usize] || own < theirs {
+                            found.push([own.min(theirs), own.max(theirs)]);
+                        }
+                    });
+                }
+                Ok(found)
+            })
+            .collect();
+        let mut pairs = found?.concat();
+        pairs.sort_unstable();
+        Ok(pairs)
+    })
+}
+
+/// Whether two triangles cross, in the sense of [`self_intersections`].
+pub fn is_crossing(positions: &[DVec3], triangles: &[[u32; 3]], [f, g]: [u32; 2]) -> bool {
+    let rounded = |v: u32| positions[v as usize].as_vec3().as_dvec3();
+    let corners = [f, g].map(|t| triangles[t as usize]);
+    let points = corners.map(|t| t.map(rounded));
+    let all = points.concat();
+    // The corners by their places in `all`; a shared one by its first.
+    let place = |v: u32| corners.as_flattened().iter().position(|&w| w == v).unwrap_or_default() as u32;
+    do_cross(&all, corners[0].map(place), corners[1].map(place))
+}
+
 /// Triangles in a hierarchy, each with its box.
 struct BoxedTriangles<'a> {
     bvh: TriangleBvh<'a>,
@@ -66,17 +136,24 @@ impl<'a> BoxedTriangles<'a> {
 
     /// Counts the triangles at later places that cross the one at `place`.
     fn count_crossings(&self, place: usize) -> u64 {
+        let mut count = 0;
+        self.for_crossings(place, place + 1, |_| count += 1);
+        count
+    }
+
+    /// Calls for the triangles at places from `from` on that cross the one at `place`.
+    fn for_crossings(&self, place: usize, from: usize, mut see: impl FnMut(usize)) {
         let order = self.bvh.triangle_order();
         let (own, bounds) = (order[place], &self.boxes[place]);
-        let mut count = 0;
-        self.bvh.visit_overlapping(bounds, place + 1, |other| {
+        self.bvh.visit_overlapping(bounds, from, |other| {
             if self.boxes[other].overlaps(bounds) {
                 let theirs = order[other];
                 let [f, g] = [own.min(theirs), own.max(theirs)].map(|t| self.bvh.triangles()[t as usize]);
-                count += u64::from(do_cross(self.bvh.positions(), f, g));
+                if do_cross(self.bvh.positions(), f, g) {
+                    see(other);
+                }
             }
         });
-        count
     }
 }
 
@@ -146,6 +223,29 @@ mod tests {
 
     fn points(p: &[[f64; 3]]) -> Vec<DVec3> {
         p.iter().copied().map(DVec3::from_array).collect()
+    }
+
+    #[test]
+    fn pairs_with_a_triangle_that_is_asked_for_are_named_each_once() {
+        let (positions, triangles) = crossed_sheets(12);
+        let exec_pool = pool();
+        let exec = Exec::new(&exec_pool, &Silent);
+        let asked = |is_asked: &dyn Fn(usize) -> bool| {
+            let is_asked: Vec<bool> = (0..triangles.len()).map(is_asked).collect();
+            crossings_of(&positions, &triangles, &is_asked, &exec).expect("no cancel")
+        };
+        let all = asked(&|_| true);
+        assert_eq!(all.len() as u64, count(&positions, &triangles));
+        assert!(all.is_sorted() && all.iter().all(|&pair| is_crossing(&positions, &triangles, pair)));
+        assert!(asked(&|_| false).is_empty());
+        let some = |t: usize| t % 5 == 0;
+        let expected = all
+            .iter()
+            .filter(|pair| pair.iter().any(|&t| some(t as usize)))
+            .copied();
+        let expected: Vec<_> = expected.collect();
+        assert!(!expected.is_empty() && expected.len() < all.len());
+        assert_eq!(asked(&some), expected);
     }
 
     #[test]

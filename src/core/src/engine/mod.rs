@@ -27,6 +27,7 @@
 //! on the way. What depends on the model is checked here; an [`Error`] names the field of the request.
 
 mod animation;
+mod buckles;
 mod cap_coordinates;
 mod carry;
 mod deformer;

@@ -189,7 +189,7 @@ fn hold_nodes(
 }
 
 /// Weights around a region by distance along the graph's edges, so that a falloff does not jump between fingers.
-fn fading_weights(
+pub(super) fn fading_weights(
     body: &DeformableBody,
     core: &[u32],
     Falloff { radius, curve }: Falloff,

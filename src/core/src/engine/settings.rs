@@ -68,7 +68,7 @@ impl Default for OpenOptions {
 /// let settings = SolveSettings::from(Quality { tolerance: Some(1e-6), ..Quality::default() });
 /// assert_eq!(settings.quality.refine, None);
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SolveSettings {
     /// How exactly. Without [`Quality::refine`], rotations are fitted [`COMMIT_REFINE`] times on commit, not at all in a drag.
     pub quality: Quality,
@@ -76,6 +76,28 @@ pub struct SolveSettings {
     pub method: Method,
     /// Where fits of a commit begin.
     pub fits: FitOrder,
+    /// Whether a commit that says nothing of fits is kept from having more folds and crossings than without them. Records of
+    /// the time before lack it.
+    pub unbuckles: bool,
+}
+
+impl Default for SolveSettings {
+    fn default() -> Self {
+        Self {
+            quality: Quality::DEFAULT,
+            method: Method::default(),
+            fits: FitOrder::default(),
+            unbuckles: true,
+        }
+    }
+}
+
+impl SolveSettings {
+    /// Whether fits of a commit are looked at: only where nothing was said of them.
+    pub(super) fn watches_fits(&self) -> bool {
+        let Quality { refine, smoothing, .. } = self.quality;
+        self.unbuckles && refine.is_none() && smoothing == 0.0 && self.method == Method::Harmonic
+    }
 }
 
 impl From<Quality> for SolveSettings {
@@ -97,6 +119,7 @@ pub(super) const EDITED_AT_REST: SolveSettings = SolveSettings {
     },
     method: Method::Harmonic,
     fits: FitOrder::GraphAlone,
+    unbuckles: false,
 };
 
 /// How a solve treats what was solved before.

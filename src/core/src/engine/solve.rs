@@ -5,9 +5,9 @@
 
 use crate::deform::{
     DeformableBody, FirstPass, HandleSystem, PoseRequest, Quality, SolutionExtent, SolveStart, SolveUpdate, Transform,
-    unfold_faces,
 };
 use crate::engine::Deformer;
+use crate::engine::buckles::BuckleWatch;
 use crate::engine::deformer::CommittedShape;
 use crate::engine::edit_command::{Edit, EditCommand, EditOutcome, EditedShape};
 use crate::engine::error::Error;
@@ -22,7 +22,7 @@ use crate::pool::Pool;
 use crate::reference::{Method, diffuse, linear_frames};
 use glam::{DVec3, Mat3};
 use rayon::prelude::*;
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
 impl Deformer {
     /// Returns `poses` with those that `changes` names replaced.
@@ -132,15 +132,11 @@ impl Deformer {
             .thin
             .settle(body, handle_system, &solved.frames, &mut solved.positions, exec.pool);
         if mode == SolveMode::Commit && settings.method != Method::SpatialRbf {
-            exec.progress.begin_pass("unfold");
-            let surroundings = OnceLock::new();
-            unfold_faces(
-                &derived.mesh,
-                &surroundings,
-                handle_system,
-                &mut solved.positions,
-                exec.pool,
-            );
+            let watch = BuckleWatch::of(derived, handle_system, request, exec);
+            watch.unfold(&mut solved);
+            if settings.watches_fits() {
+                solved = watch.unbuckled(solved, state)?;
+            }
         }
         exec.progress.begin_pass("render");
         let positions = Arc::new(shape.render(&solved.positions, &solved.frames, &transforms));

@@ -5,7 +5,9 @@ mod drag;
 pub(super) mod equations;
 pub(super) mod refine;
 pub(super) mod single_precision;
+mod smoother;
 pub(super) mod state;
 
 pub use equations::SecondPassEquations;
+pub use smoother::{TurnChange, TurnChangeKind};
 pub use state::SolveState;

@@ -82,6 +82,16 @@ impl SolveState {
         self.extra.clear();
     }
 
+    /// What fits have added to the first pass's rotations in the last solution, by node; empty where none were asked for.
+    pub fn added_turns(&self) -> &[LocalRotation] {
+        &self.extra
+    }
+
+    /// Replaces what fits have added to the first pass's rotations.
+    pub fn set_added_turns(&mut self, turns: Vec<LocalRotation>) {
+        self.extra = turns;
+    }
+
     /// Whether nothing was solved with it.
     pub fn is_empty(&self) -> bool {
         self.byte_size() == 0

@@ -237,7 +237,12 @@ fn recorded_poses(messages: &[pb::HandlePose]) -> Result<HandlePoses, Error> {
 }
 
 fn settings_message(settings: &SolveSettings) -> SettingsMessage {
-    let SolveSettings { quality, method, fits } = settings;
+    let SolveSettings {
+        quality,
+        method,
+        fits,
+        unbuckles,
+    } = settings;
     SettingsMessage {
         tolerance: quality.tolerance,
         max_error: quality.max_error,
@@ -251,6 +256,7 @@ fn settings_message(settings: &SolveSettings) -> SettingsMessage {
         .into(),
         spatial_rbf: *method == Method::SpatialRbf,
         coarse_first: *fits == FitOrder::CoarseFirst,
+        unbuckles: *unbuckles,
     }
 }
 
@@ -278,6 +284,7 @@ fn recorded_settings(message: &SettingsMessage) -> Result<SolveSettings, Error> 
             true => FitOrder::CoarseFirst,
             false => FitOrder::GraphAlone,
         },
+        unbuckles: message.unbuckles,
     })
 }
 

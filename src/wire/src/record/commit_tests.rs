@@ -52,6 +52,7 @@ fn commits() -> Vec<LoggedCommit> {
                 },
                 method: Method::Diffusion,
                 fits: FitOrder::GraphAlone,
+                unbuckles: false,
             },
             warnings: vec![pb::Warning {
                 code: "a".into(),

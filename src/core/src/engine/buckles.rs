@@ -1,0 +1,242 @@
+//! Fits of rotations in a commit that asks for none, kept from making a commit worse.
+//!
+//! A fit brings rotations nearer to the shape that was solved with those before it. Where a surface is squeezed (a nape, the inside
+//! of an elbow) it may follow a wrinkle, and make it a fold. So the fitted shape is looked at: around faces that are folded onto
+//! their neighbours or cross others, what the fits have added is smoothed and the pose is solved again, at first a little way
+//! around them, then further wherever that was not enough. At last there is the pose without fits. The shape with the fewest
+//! faults of all of these is kept, the earlier one of equals, so the fitted pose stays, bit for bit, where nothing is better.
+
+use super::derived_structures::DerivedStructures;
+use super::error::Error;
+use super::handle::{Falloff, FalloffCurve};
+use super::resolved_handles::fading_weights;
+use crate::deform::{
+    FreeSurface, HandleSystem, LocalRotation, PoseRequest, Quality, SolveState, SolvedNodes, SurfaceFaults, TurnChange,
+    TurnChangeKind, unfold_faces,
+};
+use crate::exec::Exec;
+use crate::mesh::{Mesh, signed_volume, surface_area};
+
+/// How often the pose is solved again with smoother rotations.
+const ROUNDS: u8 = 3;
+/// How many times further smoothing reaches in a round than in the one before.
+const FURTHER: f64 = 3.0;
+/// How far around a fault rotations are smoothed in the first round: so many times the model's volume divided by its area, half
+/// the thickness of a limb,
+const DEPTH: f64 = 2.0;
+/// or so many mean edges, if that is more.
+const EDGES: f64 = 5.0;
+/// Within this part of the way rotations are smoothed wholly.
+const WHOLE: f64 = 1.5;
+/// How far smoothed rotations are fitted again, where 1 is to the rotation that fits best.
+const REACH: f32 = 0.3;
+/// What a fold weighs against a crossing: two faces folded onto each other mostly cross a few others.
+const FOLD: usize = 4;
+
+/// What a commit is solved on, for a look at its faults.
+pub(super) struct BuckleWatch<'a> {
+    derived: &'a DerivedStructures,
+    handles: &'a HandleSystem,
+    request: PoseRequest<'a>,
+    exec: &'a Exec<'a>,
+}
+
+/// A shape with its faults and what fits have added to the rotations of the first pass.
+struct Candidate {
+    solved: SolvedNodes,
+    turns: Vec<LocalRotation>,
+    faults: SurfaceFaults,
+}
+
+impl Candidate {
+    fn cost(&self) -> usize {
+        self.faults.crossings.len() + FOLD * self.faults.folds.len()
+    }
+}
+
+/// By vertex the rounds in which it was part of a fault that was still there, and by node how far the smoothing around such reached.
+struct FaultPlaces {
+    level: Vec<u8>,
+    covered: Vec<u8>,
+}
+
+impl<'a> BuckleWatch<'a> {
+    /// Watches a pose of handles, by harmonic fields.
+    pub fn of(
+        derived: &'a DerivedStructures,
+        handles: &'a HandleSystem,
+        request: PoseRequest<'a>,
+        exec: &'a Exec<'a>,
+    ) -> Self {
+        Self {
+            derived,
+            handles,
+            request,
+            exec,
+        }
+    }
+
+    /// Brings back what turned over, as in every commit.
+    pub fn unfold(&self, solved: &mut SolvedNodes) {
+        self.exec.progress.begin_pass("unfold");
+        let DerivedStructures { mesh, surroundings, .. } = self.derived;
+        unfold_faces(mesh, surroundings, self.handles, &mut solved.positions, self.exec.pool);
+    }
+
+    /// Returns the fitted pose, which `state` has, or a better one.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`], and those of a solve.
+    pub fn unbuckled(&self, fitted: SolvedNodes, state: &mut SolveState) -> Result<SolvedNodes, Error> {
+        let vertices = self.derived.mesh.positions.len();
+        if state.added_turns().len() != self.derived.body.nodes() {
+            return Ok(fitted);
+        }
+        self.exec.progress.begin_pass("faults");
+        let given = &self.handles.given()[..vertices];
+        let surface = FreeSurface::of(&self.derived.mesh, &self.derived.surroundings, given, self.exec.pool);
+        if !surface.is_suspect(&fitted.positions[..vertices], self.exec)? {
+            return Ok(fitted);
+        }
+        let fits = state.added_turns().to_vec();
+        let plain = self.without_fits(&surface, state)?;
+        let mut best = Candidate {
+            faults: surface.faults(&fitted.positions[..vertices], self.exec)?,
+            solved: fitted,
+            turns: fits,
+        };
+        self.smooth_around_faults(&surface, &mut best, plain.cost(), state)?;
+        if plain.cost() < best.cost() {
+            best = plain;
+        }
+        state.set_added_turns(best.turns);
+        Ok(best.solved)
+    }
+
+    /// The pose of the paper's two passes, as where no fit is asked for.
+    fn without_fits(&self, surface: &FreeSurface<'_>, state: &mut SolveState) -> Result<Candidate, Error> {
+        let quality = Quality {
+            refine: Some(0),
+            ..self.request.quality
+        };
+        let request = PoseRequest {
+            quality,
+            ..self.request
+        };
+        let solved = self
+            .handles
+            .solve(&self.derived.body, &request, state, self.exec, &mut |_| true)?;
+        self.finished(surface, solved, Vec::new())
+    }
+
+    /// Solves again with rotations smoothed around faults, and keeps the best. Goes on while that helps, and while there are more
+    /// faults than without fits.
+    fn smooth_around_faults(
+        &self,
+        surface: &FreeSurface<'_>,
+        best: &mut Candidate,
+        without_fits: usize,
+        state: &mut SolveState,
+    ) -> Result<(), Error> {
+        let fits = best.turns.clone();
+        let mut places = FaultPlaces {
+            level: vec![0; self.derived.mesh.positions.len()],
+            covered: vec![0; self.derived.body.nodes()],
+        };
+        let nearest = self.nearest();
+        for _ in 0..ROUNDS {
+            let before = best.cost();
+            let weights = self.weights_around(&best.faults, nearest, &mut places)?;
+            let mut turns = fits.clone();
+            for kind in [TurnChangeKind::Smooth, TurnChangeKind::FitPartly(REACH)] {
+                let change = TurnChange {
+                    kind,
+                    turns: &turns,
+                    weights: &weights,
+                };
+                let (solved, changed) =
+                    (self.handles).solve_changed(&self.derived.body, &self.request, &change, state, self.exec)?;
+                turns.clone_from(&changed);
+                let candidate = self.finished(surface, solved, changed)?;
+                if candidate.cost() < best.cost() {
+                    *best = candidate;
+                }
+                if best.cost() == 0 {
+                    return Ok(());
+                }
+            }
+            if best.cost() == before && best.cost() <= without_fits {
+                return Ok(());
+            }
+        }
+        Ok(())
+    }
+
+    /// A solved pose with thin faces settled and folds brought back as in every commit, and its faults.
+    fn finished(
+        &self,
+        surface: &FreeSurface<'_>,
+        mut solved: SolvedNodes,
+        turns: Vec<LocalRotation>,
+    ) -> Result<Candidate, Error> {
+        let SolvedNodes { positions, frames, .. } = &mut solved;
+        self.derived
+            .thin
+            .settle(&self.derived.body, self.handles, frames, positions, self.exec.pool);
+        self.unfold(&mut solved);
+        let positions = &solved.positions;
+        self.exec.progress.begin_pass("faults");
+        let faults = surface.faults(&positions[..self.derived.mesh.positions.len()], self.exec)?;
+        Ok(Candidate { solved, turns, faults })
+    }
+
+    /// How far smoothing reaches in the first round, model units.
+    fn nearest(&self) -> f64 {
+        let Mesh {
+            positions, triangles, ..
+        } = &self.derived.mesh;
+        let edge = |t: &[u32; 3]| positions[t[0] as usize].distance(positions[t[1] as usize]);
+        let edges = triangles.iter().map(edge).sum::<f64>() / triangles.len().max(1) as f64;
+        let depth =
+            signed_volume(positions, triangles).abs() / surface_area(positions, triangles).max(f64::MIN_POSITIVE);
+        // An open surface may have any volume.
+        (DEPTH * depth.min(0.1 * self.derived.body.diagonal)).max(EDGES * edges)
+    }
+
+    /// By node how far rotations are smoothed, 0 to 1.
+    fn weights_around(
+        &self,
+        faults: &SurfaceFaults,
+        nearest: f64,
+        places: &mut FaultPlaces,
+    ) -> Result<Vec<f32>, Error> {
+        let FaultPlaces { level, covered } = places;
+        let faces = faults.crossings.iter().chain(&faults.folds).flatten();
+        for &v in faces.flat_map(|&t| &self.derived.mesh.triangles[t as usize]) {
+            level[v as usize] = level[v as usize].max(covered[v as usize] + 1);
+        }
+        let mut weights = vec![0.0f32; self.derived.body.nodes()];
+        covered.fill(0);
+        for round in 1..=ROUNDS {
+            let core: Vec<u32> = (0u32..)
+                .zip(&*level)
+                .filter(|(_, l)| **l == round)
+                .map(|(v, _)| v)
+                .collect();
+            if core.is_empty() {
+                continue;
+            }
+            let falloff = Falloff {
+                radius: nearest * libm::pow(FURTHER, f64::from(round - 1)),
+                curve: FalloffCurve::Smooth,
+            };
+            let around = fading_weights(&self.derived.body, &core, falloff, self.exec)?;
+            for (node, weight) in core.iter().map(|&v| (v, 1.0)).chain(around) {
+                let weight = (WHOLE * weight).min(1.0) as f32;
+                weights[node as usize] = weights[node as usize].max(weight);
+                covered[node as usize] = round;
+            }
+        }
+        Ok(weights)
+    }
+}

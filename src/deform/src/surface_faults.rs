@@ -1,0 +1,133 @@
+//! What is wrong with a shape where handles leave it free: faces folded onto their neighbours, and faces that cross others.
+
+use crate::folds::FaceSurroundings;
+use glam::DVec3;
+use pliant_exec::Exec;
+use pliant_exec::pool::Pool;
+use pliant_exec::progress::Cancelled;
+use pliant_mesh::{Mesh, crossings_of, is_crossing};
+use rayon::prelude::*;
+use std::sync::OnceLock;
+
+/// Neighbours are folded onto each other where the cosine of the angle between their normals is below this (120°), and was above 0
+/// in the rest pose.
+const FOLDED: f64 = -0.5;
+/// An edge is sharp where the cosine is below this (60°),
+const SHARP: f64 = 0.5;
+/// and by this less than in the rest pose.
+const SHARPER: f64 = 0.25;
+/// Faces that one piece of work handles at least.
+const PIECE: usize = 4096;
+
+/// The part of a surface that handles leave free, in the rest pose.
+pub struct FreeSurface<'a> {
+    mesh: &'a Mesh,
+    /// By face: whether it has a free corner.
+    is_free: Vec<bool>,
+    /// Neighbours across an edge, one of them free at least, with the cosine of the angle between their normals in the rest pose.
+    pairs: Vec<([u32; 2], f64)>,
+}
+
+/// What is wrong with a shape.
+#[derive(Debug, Clone, Default)]
+pub struct SurfaceFaults {
+    /// Pairs of faces that cross and did not in the rest pose, one of them free at least.
+    pub crossings: Vec<[u32; 2]>,
+    /// Pairs of neighbours that are folded onto each other and were not in the rest pose.
+    pub folds: Vec<[u32; 2]>,
+}
+
+impl<'a> FreeSurface<'a> {
+    /// The faces of which a corner is not `given`.
+    pub fn of(mesh: &'a Mesh, surroundings: &OnceLock<FaceSurroundings>, given: &[bool], pool: &Pool) -> Self {
+        pool.install(|| {
+            let around = surroundings.get_or_init(|| FaceSurroundings::of(mesh));
+            let is_free: Vec<bool> = (mesh.triangles.par_iter().with_min_len(PIECE))
+                .map(|t| t.iter().any(|&v| !given[v as usize]))
+                .collect();
+            let at_rest = unit_normals(mesh, &mesh.positions);
+            let (of, at_rest) = (&is_free, &at_rest);
+            let neighbours = |t: u32| {
+                let corners = mesh.triangles[t as usize];
+                (0..3).flat_map(move |k| {
+                    let [a, b] = [corners[k], corners[(k + 1) % 3]];
+                    let others = around.faces_of(a).iter().copied();
+                    others.filter(move |&o| {
+                        (o > t || (o < t && !of[o as usize])) && mesh.triangles[o as usize].contains(&b)
+                    })
+                })
+            };
+            let free = (0..of.len() as u32)
+                .into_par_iter()
+                .with_min_len(PIECE)
+                .filter(|&t| of[t as usize]);
+            let pairs = free
+                .flat_map_iter(|t| neighbours(t).map(move |o| ([t, o], cosine(at_rest, [t, o]))))
+                .collect();
+            Self { mesh, is_free, pairs }
+        })
+    }
+
+    /// Whether neighbours are folded onto each other, or faces cross others where the surface is bent sharply: a quick look, for the
+    /// exact one takes longer. Parts that pass through each other without a bend, as an arm through a chest, are not looked for.
+    ///
+    /// # Errors
+    /// [`Cancelled`].
+    pub fn is_suspect(&self, now: &[DVec3], exec: &Exec<'_>) -> Result<bool, Cancelled> {
+        let normals = exec.pool.install(|| unit_normals(self.mesh, now));
+        let mut is_sharp = vec![false; self.is_free.len()];
+        for &(pair, before) in &self.pairs {
+            let after = cosine(&normals, pair);
+            if is_fold(before, after) {
+                return Ok(true);
+            }
+            if after < SHARP.min(before - SHARPER) {
+                pair.iter().for_each(|&t| is_sharp[t as usize] = true);
+            }
+        }
+        Ok(!self.crossings(now, &is_sharp, exec)?.is_empty())
+    }
+
+    /// Counts the faults of a shape.
+    ///
+    /// # Errors
+    /// [`Cancelled`].
+    pub fn faults(&self, now: &[DVec3], exec: &Exec<'_>) -> Result<SurfaceFaults, Cancelled> {
+        let normals = exec.pool.install(|| unit_normals(self.mesh, now));
+        let folds = self
+            .pairs
+            .iter()
+            .filter(|(pair, before)| is_fold(*before, cosine(&normals, *pair)));
+        Ok(SurfaceFaults {
+            folds: folds.map(|(pair, _)| *pair).collect(),
+            crossings: self.crossings(now, &self.is_free, exec)?,
+        })
+    }
+
+    /// Pairs that cross and did not in the rest pose, one of them asked for at least.
+    fn crossings(&self, now: &[DVec3], is_asked: &[bool], exec: &Exec<'_>) -> Result<Vec<[u32; 2]>, Cancelled> {
+        let Mesh {
+            positions, triangles, ..
+        } = self.mesh;
+        let mut found = crossings_of(now, triangles, is_asked, exec)?;
+        found.retain(|&pair| !is_crossing(positions, triangles, pair));
+        Ok(found)
+    }
+}
+
+fn is_fold(before: f64, after: f64) -> bool {
+    after < FOLDED && before > 0.0
+}
+
+fn cosine(normals: &[DVec3], [t, o]: [u32; 2]) -> f64 {
+    normals[t as usize].dot(normals[o as usize])
+}
+
+/// Unit normals of all faces; 0 for one without area. Runs on the pool of the caller.
+fn unit_normals(mesh: &Mesh, at: &[DVec3]) -> Vec<DVec3> {
+    let normal = |t: &[u32; 3]| {
+        let [a, b, c] = t.map(|v| at[v as usize]);
+        (b - a).cross(c - a).normalize_or_zero()
+    };
+    mesh.triangles.par_iter().with_min_len(PIECE).map(normal).collect()
+}
