@@ -152,6 +152,9 @@ impl PoseSolve<'_> {
             Some(solved) => solved?,
             None => self.fit_in_turn(fit.as_ref(), posed, state, &mut tally)?,
         };
+        if !handles.stiff.is_empty() {
+            self.stiffen(fit.as_ref(), posed, state)?;
+        }
         if let Some(rigid) = &handles.rigid {
             handles.make_regions_rigid(body, request.transforms, &mut posed.frames, &mut state.x);
             self.assemble(posed, state);
@@ -249,7 +252,7 @@ impl PoseSolve<'_> {
     }
 
     /// Fills the right-hand side for `posed`.
-    fn assemble(&self, posed: &PosedHandles, state: &mut SolveState) {
+    pub(crate) fn assemble(&self, posed: &PosedHandles, state: &mut SolveState) {
         self.exec.progress.begin_pass("equations");
         let transforms = self.request.transforms;
         state.rhs.resize(3 * self.body.nodes(), 0.0);

@@ -387,5 +387,8 @@ fn any_pose(draw: &mut ByteDraw<'_>) -> HandlePose {
     if draw.below(3) == 0 {
         pose = pose.about(plain_vector(draw));
     }
+    if draw.below(8) == 0 {
+        pose = pose.turning_freely();
+    }
     pose
 }

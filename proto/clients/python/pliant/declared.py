@@ -75,6 +75,7 @@ class Declared:
         rotation_vector: Vector | None = None,
         scale: float | Vector | None = None,
         pivot: Vector | None = None,
+        free_rotation: bool = False,
         constrains: Sequence[Literal["position", "rotation", "scale"]] | None = None,
         stiffness: float | None = None,
         rigid: bool = False,
@@ -90,7 +91,7 @@ class Declared:
         with about(f"handle {text('handle', id, 'an id, which is text,')!r}"):
             handle = regions.handle(
                 id,
-                pose=to_message(Pose(translation, rotation, rotation_vector, scale, pivot)),
+                pose=to_message(Pose(translation, rotation, rotation_vector, scale, pivot, free_rotation)),
                 constrains=constrains,
                 stiffness=stiffness,
                 rigid=rigid,

@@ -16,6 +16,7 @@ use crate::engine::resolved_handles::{ResolvedHandles, resolve_handles};
 use crate::engine::riding::{RidingNodes, mark_passengers};
 use crate::engine::settings::{DeformerLimits, OpenOptions};
 use crate::engine::shape::{ModelShape, ShapeId, TopologyId};
+use crate::engine::stiff::{farthest_off_rigid, find_hard_parts};
 use crate::exec::Exec;
 use crate::mesh::{Mesh, MeshReport, self_intersections};
 use crate::pool::Pool;
@@ -232,6 +233,11 @@ impl Deformer {
         self.derived.report()
     }
 
+    /// The connected components that look like hard parts, see [`find_hard_parts`].
+    pub fn hard_parts(&self) -> Vec<u32> {
+        find_hard_parts(&self.derived.mesh, &self.derived.parts)
+    }
+
     /// The graph and hierarchy.
     pub fn body(&self) -> &DeformableBody {
         &self.derived.body
@@ -312,6 +318,8 @@ impl Deformer {
                 ties: self.derived.tie_facts().clone(),
                 levels: levels.iter().map(|l| (count_u32(l.vertices), l.edges as u64)).collect(),
                 byte_size: self.byte_size(),
+                stiff_parts: (self.handle_system.as_ref())
+                    .map_or(0, |system| count_u32(system.stiff_parts(body).count())),
             },
             handles: self.handle_facts(),
         }
@@ -437,7 +445,7 @@ impl Deformer {
             return Ok(0.0);
         };
         let now = |s: usize| positions[self.derived.mesh.render_vertices_of(s as u32)[0] as usize];
-        let farthest = system.largest_misplacement(self.body(), &self.transforms(poses)?, now);
+        let farthest = system.largest_misplacement(self.body(), &self.transforms_in(positions, poses)?, now);
         let diagonal = self.diagonal();
         Ok(if diagonal > 0.0 { farthest / diagonal } else { farthest })
     }
@@ -449,6 +457,9 @@ impl Deformer {
     pub fn measure(&self, positions: &[DVec3], count_crossings: bool, exec: &Exec<'_>) -> Result<QualityReport, Error> {
         let deformed = self.welded(positions);
         let mut found = measure_quality(self.mesh(), self.report().closed, &deformed, exec.pool);
+        if let Some(system) = &self.handle_system {
+            found.off_rigid = farthest_off_rigid(system, self.body(), |vertex| deformed[vertex]);
+        }
         if count_crossings {
             let pairs = self_intersections(&deformed, &self.mesh().triangles, exec)?;
             found.self_intersections = Some(u32::try_from(pairs).unwrap_or(u32::MAX));

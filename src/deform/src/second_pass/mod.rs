@@ -6,6 +6,9 @@ pub(super) mod equations;
 pub(super) mod refine;
 pub(super) mod single_precision;
 pub(super) mod state;
+mod stiff_parts;
+pub(super) mod turn_steps;
+mod turning;
 
 pub use equations::SecondPassEquations;
 pub use state::SolveState;

@@ -1,7 +1,7 @@
 //! Commits come back as they were written, and bytes that are no commit are refused.
 
 use super::*;
-use pliant_core::engine::{Handle, HandleScale, Region};
+use pliant_core::engine::{Handle, HandleScale, Region, Stiff};
 use proptest::prelude::*;
 
 fn facts() -> Box<pb::Session> {
@@ -23,6 +23,7 @@ fn commits() -> Vec<LoggedCommit> {
     let pose = HandlePose {
         scale: Some(HandleScale::Uniform(third)),
         pivot: Some(DVec3::splat(third)),
+        free_rotation: true,
         ..HandlePose::translation([third, -0.0, 1e-300])
     };
     let poses = HandlePoses(vec![pose, HandlePose::default()].into());
@@ -37,7 +38,14 @@ fn commits() -> Vec<LoggedCommit> {
     vec![
         LoggedCommit::Create { facts: facts() },
         LoggedCommit::Handles {
-            set: HandleSet::from([Handle::new("a", Region::Component(1)).soft(third)]),
+            set: HandleSet {
+                stiff: Some(Stiff {
+                    regions: vec![Region::Component(2)],
+                    strength: third,
+                    ..Stiff::default()
+                }),
+                ..HandleSet::from([Handle::new("a", Region::Component(1)).soft(third)])
+            },
             poses: poses.clone(),
             facts: facts(),
         },
