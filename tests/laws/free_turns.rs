@@ -76,8 +76,8 @@ fn angle(deformer: &Deformer, pose: HandlePose, shape: &[DVec3]) -> f64 {
 fn an_end_dragged_aside_bends_the_bar_into_an_arc() {
     let pool = Pool::new(2).unwrap();
     let mut deformer = UPRIGHT.deformer(&pool, &["low", "high"]);
-    // The end of an arc of a quarter turn, from the border of the lower handle to the middle of the upper one.
-    let reach = LENGTH - 0.25 - 0.5;
+    // The end of an arc of a quarter turn, from the border of the lower handle to that of the upper one.
+    let reach = LENGTH - 1.0;
     let radius = reach / FRAC_PI_2;
     let by = DVec3::new(radius, 0.0, radius - reach);
     let pose = UPRIGHT.dragged(by);
@@ -98,16 +98,6 @@ fn an_end_dragged_aside_bends_the_bar_into_an_arc() {
         .unwrap();
     let off = deformer.constraint_error(&shape, &poses).unwrap();
     assert!(off < 1e-12, "the region is rigid and in its place: {off}");
-    let rest = deformer.rest().clone();
-    let mean = |all: &[DVec3]| {
-        let ends = all.iter().zip(rest.iter()).filter(|(_, p)| p.z >= LENGTH - 0.5 - 1e-9);
-        let (sum, count) = ends.fold((DVec3::ZERO, 0.0), |(s, n), (x, _)| (s + *x, n + 1.0));
-        sum / count
-    };
-    let pivot = deformer.facts().handles[1].centroid;
-    // The pivot is the point that moves as the pose says.
-    let map = deformer.transforms_in(&shape, &poses).unwrap()[1].map();
-    assert!((map(pivot) - pivot - by).length() < 1e-9 && mean(&shape).is_finite());
 }
 
 #[test]
@@ -164,9 +154,15 @@ fn a_drag_comes_to_what_a_commit_finds_and_a_commit_depends_on_no_drag() {
     }
     let [dragged, committed] = [&shown, &first].map(|shape| angle(&deformer, UPRIGHT.dragged(by), shape));
     assert!((dragged - committed).abs() < 0.03, "{dragged} {committed}");
-    assert_eq!(commit(&mut deformer, UPRIGHT.dragged(by), &pool), first);
+    assert!(
+        commit(&mut deformer, UPRIGHT.dragged(by), &pool) == first,
+        "the same bits after a drag"
+    );
     let one = Pool::new(1).unwrap();
-    assert_eq!(commit(&mut deformer, UPRIGHT.dragged(by), &one), first, "on one thread");
+    assert!(
+        commit(&mut deformer, UPRIGHT.dragged(by), &one) == first,
+        "the same bits on one thread"
+    );
 }
 
 #[test]

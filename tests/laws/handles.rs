@@ -12,6 +12,8 @@ use pliant::engine::{Deformer, Edit, Region};
 use pliant::exec::Exec;
 use pliant::progress::Silent;
 use pliant::wire::{Error, pb};
+use std::f64::consts::FRAC_PI_2;
+use std::sync::Arc;
 
 /// A bar and, beside it, a ball that no handle holds.
 fn bar_and_ball() -> (Shape, usize) {
@@ -230,6 +232,54 @@ fn held_inside() -> Deformer {
         vec![handle("base", below(0.25)), handle("core", ball([0.0, 0.0, 3.5], 0.3))],
     );
     bench
+}
+
+/// The bar of 1 × 1 × 4, held below z = 0.25, with `others` beside.
+fn pivots_of(others: Vec<pb::Handle>) -> Vec<DVec3> {
+    let mut bench = bench(&bar());
+    set(&mut bench, [vec![handle("base", below(0.25))], others].concat());
+    bench.facts().handles.iter().map(|h| h.pivot).collect()
+}
+
+#[test]
+fn a_handle_turns_about_the_middle_of_what_is_free_around_it() {
+    let axis = |p: DVec3| p.truncate().length();
+    let ends = pivots_of(vec![handle("top", above(3.75))]);
+    assert!(axis(ends[1]) < 0.02 && (ends[1].z - 2.0).abs() < 0.1, "{ends:?}");
+    // Both fields sum to 1, so they fall at one place.
+    assert!(ends[0].distance(ends[1]) < 1e-3, "{ends:?}");
+    let elbow = pivots_of(vec![handle("top", above(2.5))]);
+    assert!(axis(elbow[1]) < 0.02 && (elbow[1].z - 1.375).abs() < 0.1, "{elbow:?}");
+    // Nothing is free where all is held, and nothing turns what constrains no rotation: these have the middle of their region.
+    let all = pivots_of(vec![handle("all", above(-1.0))]);
+    assert!(all[1].distance(DVec3::new(0.0, 0.0, 2.0)) < 1e-6, "{all:?}");
+    let mut held = handle("top", above(3.75));
+    held.constrains = vec![pb::handle::Constrains::Position as i32];
+    let middle = pivots_of(vec![held])[1].z;
+    assert!((3.75..=4.0).contains(&middle), "{middle}");
+}
+
+#[test]
+fn a_bend_without_a_pivot_hardly_stretches() {
+    let mut bench = bench(&bar());
+    set(&mut bench, ends());
+    let quarter = pb::HandlePose {
+        rotation_vector: vec![FRAC_PI_2, 0.0, 0.0],
+        ..Default::default()
+    };
+    let solved = solve(&mut bench, &[("top", quarter)], 1e-6);
+    let rest = Arc::clone(bench.rest());
+    let edges = bench
+        .geometry()
+        .triangles
+        .iter()
+        .flat_map(|t| [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])]);
+    let stretch = edges.map(|(a, b)| {
+        let length = |points: &[DVec3]| points[a as usize].distance(points[b as usize]);
+        length(&solved.positions) / length(&rest)
+    });
+    let most = stretch.fold(0.0, f64::max);
+    assert!(most < 1.6, "edges are stretched by {most}");
 }
 
 #[test]

@@ -126,7 +126,7 @@ fn bolts_are_found_and_all_parts_are_stiff_when_asked_for() {
     assert_eq!(found.hard_parts(), (1..=BOLTS as u32).collect::<Vec<_>>());
     let same = commit(&mut deformer(Some(bolts()), &pool), bent(), &pool);
     assert_eq!(commit(&mut found, bent(), &pool), same);
-    // The bar is held by both handles: it bends, and a warning tells it.
+    // The bar is held by both handles: it bends, and a warning reports it.
     let all = Stiff {
         all: true,
         ..Stiff::default()
@@ -144,7 +144,7 @@ fn a_part_under_a_handle_follows_it_as_a_whole() {
     let mut deformer = deformer(Some(bolts()), &pool);
     let mut handles = deformer.handles().handles.clone();
     // One corner of the third bolt.
-    handles.push(Handle::new("corner", Region::sphere([0.25, 1.602, 3.0], 0.3)));
+    handles.push(Handle::new("corner", Region::sphere([0.25, 1.602, 3.0], 0.2)));
     let set = HandleSet {
         stiff: Some(bolts()),
         ..HandleSet::from(handles)

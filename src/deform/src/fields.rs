@@ -7,8 +7,10 @@
 use crate::body::DeformableBody;
 use crate::error::Error;
 use crate::handles::ownership::{NodeOwnership, UNHELD};
+use glam::DVec3;
 use pliant_exec::Exec;
 use pliant_exec::pool::Pool;
+use pliant_mesh::graph::MeshGraph;
 use pliant_solver::{Constraints, InitialGuess, LinearSystem, SolveControl, SolveOptions, Workspace};
 use rayon::prelude::*;
 
@@ -29,9 +31,85 @@ impl HarmonicFields {
         self.fields.get(hold).map_or(&[], Vec::as_slice)
     }
 
+    /// The joint between a region and what is free around it: the mean of the graph's edges, each weighing w (u_i − u_j)², its
+    /// share of the Dirichlet energy of the region's harmonic field, times exp(−½ (d / 2r)²). Here d is the distance from the
+    /// centre of the region's border, and r the root of the mean square of d over the border. Turned about this point a region
+    /// arrives with little bending around it; the second factor keeps the point near, where the field falls in far limbs also.
+    /// `None` for a region without a border or a field that falls nowhere.
+    ///
+    /// All sums run over fixed pieces in their order.
+    pub fn joint(&self, hold: usize, region: &[u32], graph: &MeshGraph, pool: &Pool) -> Option<DVec3> {
+        let field = self.of(hold);
+        let origin = graph.positions[*region.first().filter(|_| !field.is_empty())? as usize];
+        let mut within = vec![false; graph.nodes()];
+        region.iter().for_each(|&i| within[i as usize] = true);
+        let weight = |e: usize| graph.weights.as_ref().map_or(1.0, |w| f64::from(w[e]));
+        let middle = |i: u32, j: u32| (graph.positions[i as usize] + graph.positions[j as usize]) * 0.5 - origin;
+        let edges = |i: u32| graph.entries(i).zip(graph.row(i));
+
+        let border = Moments::over(region.len(), pool, |k, sum| {
+            let i = region[k];
+            for (e, &j) in edges(i).filter(|(_, j)| !within[**j as usize]) {
+                sum.add(weight(e), middle(i, j));
+            }
+        });
+        let center = border.mean()?;
+        let spread = 8.0 * (border.square / border.weight - center.length_squared()).max(0.0);
+        if spread <= 0.0 {
+            return Some(origin + center);
+        }
+        let falls = Moments::over(graph.nodes(), pool, |i, sum| {
+            for (e, &j) in edges(i as u32).filter(|(_, j)| **j as usize > i) {
+                let fall = f64::from(field[i] - field[j as usize]);
+                let at = middle(i as u32, j);
+                sum.add(
+                    fall * fall * weight(e) * libm::exp(-at.distance_squared(center) / spread),
+                    at,
+                );
+            }
+        });
+        falls.mean().map(|joint| origin + joint)
+    }
+
     /// Bytes held on the heap.
     pub fn byte_size(&self) -> usize {
         self.fields.iter().map(|f| f.capacity() * 4).sum::<usize>() + self.covered.capacity()
+    }
+}
+
+/// Sums of weighted points.
+#[derive(Clone, Copy, Default)]
+struct Moments {
+    weight: f64,
+    point: DVec3,
+    square: f64,
+}
+
+impl Moments {
+    /// Adds up what `add` adds for each of `count` items.
+    fn over(count: usize, pool: &Pool, add: impl Fn(usize, &mut Self) + Sync) -> Self {
+        const PIECE: usize = 8192;
+        let pieces = pool.map(count.div_ceil(PIECE), 1, |piece| {
+            let mut sum = Self::default();
+            (piece * PIECE..((piece + 1) * PIECE).min(count)).for_each(|k| add(k, &mut sum));
+            sum
+        });
+        pieces.iter().fold(Self::default(), |all, own| Self {
+            weight: all.weight + own.weight,
+            point: all.point + own.point,
+            square: all.square + own.square,
+        })
+    }
+
+    fn add(&mut self, weight: f64, point: DVec3) {
+        self.weight += weight;
+        self.point += point * weight;
+        self.square += point.length_squared() * weight;
+    }
+
+    /// The weighted mean; `None` without weight.
+    fn mean(&self) -> Option<DVec3> {
+        Some(self.point / self.weight).filter(|mean| self.weight > 0.0 && mean.is_finite())
     }
 }
 

@@ -43,6 +43,7 @@ pub fn session_message(facts: &DeformerFacts) -> pb::Session {
                 vertices: h.vertices,
                 interior_nodes: h.interior_nodes,
                 centroid: h.centroid.to_array().to_vec(),
+                pivot: h.pivot.to_array().to_vec(),
                 pose: None,
             })
             .collect(),

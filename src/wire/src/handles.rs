@@ -59,12 +59,8 @@ fn stiff(message: &pb::Stiff) -> Result<Stiff, Error> {
     }
     let kinds = ["primitives", "components", "regions"];
     let most = [MOST_STIFF, MOST_STIFF, MOST_STIFF_REGIONS];
-    for ((kind, count), most) in kinds
-        .into_iter()
-        .zip(listed)
-        .zip(most)
-        .filter(|((_, count), most)| count > most)
-    {
+    let mut lists = kinds.into_iter().zip(listed).zip(most);
+    if let Some(((kind, count), most)) = lists.find(|((_, count), most)| count > most) {
         let problem = format!("has {count} entries, at most {most} are allowed; all and auto take any number of parts");
         return Err(Error::invalid(format!("stiff.{kind}"), problem));
     }

@@ -161,6 +161,7 @@ impl Engine for Fake {
             vertices: 0,
             interior_nodes: 0,
             centroid: DVec3::ZERO,
+            pivot: DVec3::ZERO,
         };
         DeformerFacts {
             model: ModelFacts {

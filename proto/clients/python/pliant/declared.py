@@ -117,6 +117,23 @@ class Declared:
         """Keeps everything outside the region fixed bit for bit."""
         self._books.limit(region_of_interest=regions.region(region, self.vertices))
 
+    def stiff(
+        self,
+        *,
+        primitives: Sequence[int] = (),
+        components: Sequence[int] = (),
+        regions_of: Sequence[RegionFields] = (),
+        all: bool = False,
+        auto: bool = False,
+        strength: float | None = None,
+    ) -> None:
+        """Makes parts move as rigid bodies, with no handle each: those that are listed, all components, or those that look like hard
+        parts. What hangs together of each is one part.
+        """
+        named = [regions.region(fields, self.vertices) for fields in regions_of]
+        parts = pb.Stiff(primitives=primitives, components=components, regions=named, all=all, auto=auto, strength=strength)
+        self._books.limit(stiff=parts)
+
     def _check_open(self) -> None:
         if self._books.closed:
             raise errors.SessionLost(f'session "{self.id}" was closed by close(); open the model again')

@@ -44,7 +44,7 @@ class Pose:
     rotation_vector: Vector | None = None
     #: One number or three, each above 0.
     scale: float | Vector | None = None
-    #: x, y, z; default: the centroid of the region in the rest pose.
+    #: x, y, z; default: the joint between the region and what is free (``HandleFacts.pivot``).
     pivot: Vector | None = None
     #: The rotation is found: the region turns about the pivot until what it hangs on is bent least.
     free_rotation: bool = False

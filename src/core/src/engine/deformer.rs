@@ -28,6 +28,10 @@ use std::sync::Arc;
 /// Bytes of a harmonic field for each handle and node while it is solved: the solution and the right-hand side.
 const FIELD_BYTES: u64 = 16;
 
+/// Bytes of stiff parts for each node and entry of an edge.
+const STIFF_NODE_BYTES: u64 = 64;
+const STIFF_EDGE_BYTES: u64 = 12;
+
 /// A model with everything derived from it. One owner; solves need `&mut`.
 pub struct Deformer {
     pub(super) derived: Arc<DerivedStructures>,
@@ -341,13 +345,13 @@ impl Deformer {
     }
 
     fn handle_facts(&self) -> Vec<HandleFacts> {
-        let places = self.handles.counts.iter().zip(&self.handles.centroids);
-        let handles = self.handles.set.handles.iter().zip(places);
-        let facts = handles.map(|(h, (held, &centroid))| HandleFacts {
-            id: h.id.clone(),
-            vertices: held.vertices,
-            interior_nodes: held.interior_nodes,
-            centroid,
+        let handles = self.handles.set.handles.iter().enumerate();
+        let facts = handles.map(|(k, handle)| HandleFacts {
+            id: handle.id.clone(),
+            vertices: self.handles.counts[k].vertices,
+            interior_nodes: self.handles.counts[k].interior_nodes,
+            centroid: self.handles.centroids[k],
+            pivot: self.handles.pivots[k],
         });
         facts.collect()
     }
@@ -379,6 +383,12 @@ impl Deformer {
         let most = handles.handles.len() as u64 * if handles.symmetry_plane.is_some() { 2 } else { 1 };
         // The handles in force and the states that were left stay until the new ones are whole.
         let held = self.estimate() + self.spare_bytes() + (most + 1) * body.nodes() as u64 * FIELD_BYTES;
+        // Parts with their edges, and a second system.
+        let stiff = match &handles.stiff {
+            Some(_) => body.nodes() as u64 * STIFF_NODE_BYTES + body.graph.neighbours.len() as u64 * STIFF_EDGE_BYTES,
+            None => 0,
+        };
+        let held = held + stiff;
         let admit = |held_by_handles: u64| {
             exec.check()?;
             admit_bytes(held + held_by_handles, &self.room_limits(), exec)
@@ -392,7 +402,16 @@ impl Deformer {
             Some(system) => warn_of_large_faces(&self.derived.mesh, system, body.diagonal, 0.0, exec)?,
             None => None,
         };
-        self.handles = resolved;
+        let joint = |k: usize| system.as_ref().and_then(|system| system.joint_of(body, k, exec.pool));
+        let pivots = resolved
+            .centroids
+            .iter()
+            .enumerate()
+            .map(|(k, middle)| joint(k).unwrap_or(*middle));
+        self.handles = ResolvedHandles {
+            pivots: pivots.collect(),
+            ..resolved
+        };
         self.handles.warnings.extend(large);
         self.handle_system = system;
         self.state.reset();
@@ -414,8 +433,8 @@ impl Deformer {
     }
 
     /// Default pivots of the handles in force.
-    pub(super) fn centroids(&self) -> &[DVec3] {
-        &self.handles.centroids
+    pub(super) fn pivots(&self) -> &[DVec3] {
+        &self.handles.pivots
     }
 
     /// The poses that the handles in force came with.

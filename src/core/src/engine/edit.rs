@@ -323,7 +323,7 @@ impl Deformer {
         let held = HeldVertices {
             set,
             vertices,
-            centroids: self.centroids(),
+            pivots: self.pivots(),
             moved: match !at_rest && order.shape.positions != *self.rest() {
                 true => self.transforms_in(&order.shape.positions, order.poses).ok(),
                 false => None,

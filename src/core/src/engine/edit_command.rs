@@ -275,7 +275,7 @@ pub(super) struct HeldVertices<'a> {
     /// The render vertices of each handle, then those of the region of interest, then those of each thing that is listed as stiff.
     pub vertices: Vec<Vec<bool>>,
     /// The default pivots.
-    pub centroids: &'a [DVec3],
+    pub pivots: &'a [DVec3],
     /// Where a deformed shape was edited, how each handle moved its region; `None` where the rest shape stays in its place.
     pub moved: Option<Vec<Transform>>,
 }
@@ -305,7 +305,7 @@ pub(super) fn carry_handles(
             continue;
         };
         let pose = poses.and_then(|poses| poses.get(k)).map(|pose| HandlePose {
-            pivot: pose.pivot.or(Some(held.centroids[k])),
+            pivot: pose.pivot.or(Some(held.pivots[k])),
             ..*pose
         });
         carried.set.handles.push(Handle {

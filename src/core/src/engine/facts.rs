@@ -102,8 +102,11 @@ pub struct HandleFacts {
     pub vertices: u32,
     /// Nodes inside the model that it holds, likewise.
     pub interior_nodes: u32,
-    /// The default pivot: the mean rest position of its solver vertices; of its inside nodes when it holds no vertex.
+    /// The mean rest position of its solver vertices; of its inside nodes when it holds no vertex.
     pub centroid: DVec3,
+    /// The default pivot: the joint between it and what is free, the middle of where its rotation field falls near its border; the centroid
+    /// where nothing is free around it, or it constrains no rotation.
+    pub pivot: DVec3,
 }
 
 /// Something that a user should know; nothing was refused for it.

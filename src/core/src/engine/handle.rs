@@ -233,7 +233,8 @@ pub struct HandlePose {
     pub free_rotation: bool,
     /// How the handle is scaled.
     pub scale: Option<HandleScale>,
-    /// The point that it is turned and scaled about; `None`: the rest centroid of the region's solver vertices.
+    /// The point that it is turned and scaled about; `None`: [`HandleFacts::pivot`](super::HandleFacts::pivot), the joint between
+    /// the region and what is free.
     pub pivot: Option<DVec3>,
 }
 
@@ -268,7 +269,7 @@ impl HandlePose {
         }
     }
 
-    /// Makes the pose of a handle that is turned by axis times angle in radians about its centroid.
+    /// Makes the pose of a handle that is turned by axis times angle in radians about its joint.
     pub fn rotation(vector: impl Into<DVec3>) -> Self {
         Self::default().rotated(vector)
     }
@@ -305,8 +306,8 @@ impl HandlePose {
         self.translation.is_some() || self.rotation.is_some() || self.scale.is_some()
     }
 
-    /// Returns the pose as a transform; `centroid` is the pivot when the pose names none.
-    pub(super) fn to_transform(self, centroid: DVec3) -> Transform {
+    /// Returns the pose as a transform; `joint` is the pivot when the pose names none.
+    pub(super) fn to_transform(self, joint: DVec3) -> Transform {
         let rotation = match self.rotation {
             Some(HandleRotation::Quaternion(q)) => log_rotation(q.normalize()),
             Some(HandleRotation::Vector(v)) => v,
@@ -321,7 +322,7 @@ impl HandlePose {
             translation: self.translation.unwrap_or(DVec3::ZERO),
             rotation,
             log_scale,
-            pivot: self.pivot.unwrap_or(centroid),
+            pivot: self.pivot.unwrap_or(joint),
         }
     }
 }

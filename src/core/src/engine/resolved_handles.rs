@@ -33,8 +33,10 @@ pub(super) struct HeldCounts {
 pub(super) struct ResolvedHandles {
     /// The handles as they were set.
     pub set: HandleSet,
-    /// Default pivot by handle.
+    /// The middle of each handle's region.
     pub centroids: Vec<DVec3>,
+    /// Default pivot by handle: the joint between it and what is free, or else the middle of its region.
+    pub pivots: Vec<DVec3>,
     /// What each handle holds, after overlaps.
     pub counts: Vec<HeldCounts>,
     /// With a symmetry plane: the plane; hold `handles + k` is then the mirror image of handle k.
@@ -157,7 +159,7 @@ impl ResolvedHandles {
     pub fn transforms(&self, poses: &[HandlePose]) -> Vec<Transform> {
         let mut all = Vec::with_capacity(poses.len() * 2);
         for (k, (pose, handle)) in poses.iter().zip(&self.set.handles).enumerate() {
-            let mut t = pose.to_transform(self.centroids[k]);
+            let mut t = pose.to_transform(self.pivots[k]);
             if handle.rigid {
                 t.log_scale = DMat3::ZERO;
             }

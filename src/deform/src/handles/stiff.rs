@@ -22,7 +22,7 @@ pub(crate) struct StiffParts {
     pub strength: f64,
 }
 
-/// A part at rest, solving coordinates; each node has a mass of 1.
+/// A part in the rest pose, solving coordinates; each node has a mass of 1.
 #[derive(Debug, Clone, Copy)]
 struct RestBody {
     center: DVec3,

@@ -138,6 +138,13 @@ impl HandleSystem {
         &self.positions.system
     }
 
+    /// The joint between a handle and what is free, which it turns about by default. `None` for a handle that constrains no
+    /// rotation, or around which nothing is free.
+    pub fn joint_of(&self, body: &DeformableBody, handle: usize, pool: &Pool) -> Option<DVec3> {
+        let region = &self.setup.handles[handle].nodes;
+        self.rotation_fields.joint(handle, region, &body.graph, pool)
+    }
+
     /// Number of handles.
     pub fn handle_count(&self) -> usize {
         self.setup.handles.len()

@@ -22,12 +22,12 @@ use pliant_mesh::rotation::exp_rotation;
 use pliant_solver::{InitialGuess, SolveControl, SolveOptions, Workspace};
 
 /// How often parts and free nodes move together, where rotations are fitted and where not.
-const ROUNDS: usize = 4;
+const ROUNDS: usize = 3;
 const ROUNDS_OF_DRAG: usize = 1;
 /// Steps of one round at most.
 const MOST_STEPS: usize = 24;
 /// What a round leaves of the force that it began with, measured by the energy that it would set free.
-const LEFT: f64 = 1e-3;
+const LEFT: f64 = 0.03;
 /// The largest turn of a part in one round, radians.
 const LARGEST_TURN: f64 = 0.5;
 
@@ -193,7 +193,7 @@ impl MovingTogether<'_> {
             if step == 0 {
                 enough = size * LEFT * LEFT;
             }
-            if !(size > enough) {
+            if size <= enough || size.is_nan() {
                 break;
             }
             if let Some((way, resisted, energy)) = &before {
@@ -203,7 +203,7 @@ impl MovingTogether<'_> {
             }
             let resisted = self.resistance(&along);
             let energy = along.dot(&resisted);
-            if !(energy > 0.0) {
+            if energy <= 0.0 || energy.is_nan() {
                 break;
             }
             let far = left.dot(&along) / energy;

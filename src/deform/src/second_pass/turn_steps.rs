@@ -8,27 +8,39 @@ const LONGEST_STEP: f64 = 1.0;
 const FARTHEST: f64 = 64.0;
 /// How many differences of torques are remembered.
 const REMEMBERED: usize = 6;
-/// A difference that is this much one of newer ones tells nothing.
+/// A difference that is this much one of newer ones adds nothing.
 const LEAST_NEW: f64 = 1e-2;
 /// What steps towards turns have shown so far: changes of turns with the changes of torques that came of them, the newest last.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct TurnSteps(Vec<(Vec<DVec3>, Vec<DVec3>)>);
+pub(crate) struct TurnSteps {
+    /// The holds whose turns they are.
+    holds: Vec<usize>,
+    steps: Vec<(Vec<DVec3>, Vec<DVec3>)>,
+}
 
 impl TurnSteps {
-    /// Keeps what a step has changed of the torques.
-    pub(super) fn remember(&mut self, turned: Vec<DVec3>, changed: Vec<DVec3>) {
-        if self.0.len() == REMEMBERED {
-            self.0.remove(0);
+    /// Begins with these holds; what is known of others is forgotten.
+    pub(super) fn begin(&mut self, holds: &[usize]) {
+        if self.holds != holds {
+            self.steps.clear();
+            self.holds = holds.to_vec();
         }
-        self.0.push((turned, changed));
     }
 
-    /// The step that ends a torque as far as is known, and goes along what is left of it elsewhere.
+    /// Keeps what a step has changed of the torques.
+    pub(super) fn remember(&mut self, turned: Vec<DVec3>, changed: Vec<DVec3>) {
+        if self.steps.len() == REMEMBERED {
+            self.steps.remove(0);
+        }
+        self.steps.push((turned, changed));
+    }
+
+    /// The step that ends a torque as far as is known, and follows what is left of it elsewhere.
     pub(super) fn step(&self, torque: &[DVec3]) -> Vec<DVec3> {
         let mut left = torque.to_vec();
         let mut step = vec![DVec3::ZERO; left.len()];
         let mut known: Vec<(Vec<DVec3>, Vec<DVec3>)> = Vec::new();
-        for (turned, changed) in self.0.iter().rev() {
+        for (turned, changed) in self.steps.iter().rev() {
             let (mut turned, mut changed) = (turned.clone(), changed.clone());
             let before = length(&changed);
             for (other, unit) in &known {
@@ -59,12 +71,12 @@ impl TurnSteps {
     }
 
     pub(crate) fn clear(&mut self) {
-        self.0.clear();
+        self.steps.clear();
     }
 
     pub(crate) fn byte_size(&self) -> usize {
         let of_pair = |pair: &(Vec<DVec3>, Vec<DVec3>)| pair.0.capacity() + pair.1.capacity();
-        self.0.iter().map(of_pair).sum::<usize>() * size_of::<DVec3>()
+        self.steps.iter().map(of_pair).sum::<usize>() * size_of::<DVec3>()
     }
 }
 

@@ -27,8 +27,8 @@ const PIECE: usize = 4096;
 
 impl HandleSystem {
     /// The transforms of a pose with the rotations found of those holds that `free` names; the rotations of `request` are where the
-    /// search begins, and where it goes on in a warm solve those of the solve before. As many solves as steps; `state` is left with
-    /// the last one.
+    /// search begins, and where it goes on in a warm solve those of the solve before. As many solves as steps; a warm one leaves `state`
+    /// with the last of them.
     ///
     /// # Errors
     /// [`Error::Solver`], [`Error::Cancelled`]. `state` stays usable after either.
@@ -46,18 +46,18 @@ impl HandleSystem {
         if free.is_empty() || !self.moved_parts(body, &transforms).contains(&true) {
             return Ok(transforms);
         }
-        let (most, near) = match warm {
-            true => (MOST_STEPS_OF_DRAG, NEAR_ENOUGH_OF_DRAG),
-            false => (MOST_STEPS, NEAR_ENOUGH),
-        };
         if warm && state.transforms.len() == transforms.len() {
             free.iter()
                 .for_each(|&k| transforms[k].rotation = state.transforms[k].rotation);
         }
-        if !warm {
-            state.forget();
-            state.turning.clear();
-        }
+        // A pose that is solved from nothing does not depend on what was solved before it.
+        let mut own = SolveState::default();
+        let state = if warm { state } else { &mut own };
+        state.turning.begin(&free);
+        let (most, near) = match warm {
+            true => (MOST_STEPS_OF_DRAG, NEAR_ENOUGH_OF_DRAG),
+            false => (MOST_STEPS, NEAR_ENOUGH),
+        };
         let mut last: Option<(Vec<DVec3>, Vec<DVec3>)> = None;
         for count in 0..most {
             let start = if warm || count > 0 {
@@ -65,13 +65,8 @@ impl HandleSystem {
             } else {
                 SolveStart::Fresh
             };
-            let solved = self.solve(
-                body,
-                &search_request(&transforms, request, start),
-                state,
-                exec,
-                &mut |_| true,
-            )?;
+            let search = search_request(&transforms, request, start);
+            let solved = self.solve(body, &search, state, exec, &mut |_| true)?;
             let torque = self.torques(body, &transforms, &solved, &free, exec.pool);
             state.recycle(solved.positions, solved.frames);
             if let Some((step, before)) = last.take() {

@@ -18,6 +18,18 @@ fn facts() -> Box<pb::Session> {
     })
 }
 
+fn handle_set() -> HandleSet {
+    let stiff = Stiff {
+        regions: vec![Region::Component(2)],
+        strength: 1.0 / 3.0,
+        ..Stiff::default()
+    };
+    HandleSet {
+        stiff: Some(stiff),
+        ..HandleSet::from([Handle::new("a", Region::Component(1)).soft(1.0 / 3.0)])
+    }
+}
+
 fn commits() -> Vec<LoggedCommit> {
     let third = 1.0 / 3.0;
     let pose = HandlePose {
@@ -38,14 +50,7 @@ fn commits() -> Vec<LoggedCommit> {
     vec![
         LoggedCommit::Create { facts: facts() },
         LoggedCommit::Handles {
-            set: HandleSet {
-                stiff: Some(Stiff {
-                    regions: vec![Region::Component(2)],
-                    strength: third,
-                    ..Stiff::default()
-                }),
-                ..HandleSet::from([Handle::new("a", Region::Component(1)).soft(third)])
-            },
+            set: handle_set(),
             poses: poses.clone(),
             facts: facts(),
         },

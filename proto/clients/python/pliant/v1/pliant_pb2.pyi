@@ -341,18 +341,20 @@ class Session(_message.Message):
     def __init__(self, id: _Optional[str] = ..., revision: _Optional[int] = ..., primitives: _Optional[_Iterable[_Union[Primitive, _Mapping]]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., build_ms: _Optional[_Mapping[str, float]] = ..., model: _Optional[_Union[ModelFacts, _Mapping]] = ..., solver: _Optional[_Union[SolverFacts, _Mapping]] = ..., expires_at: _Optional[str] = ..., label: _Optional[str] = ..., handles: _Optional[_Iterable[_Union[HandleFacts, _Mapping]]] = ..., limits: _Optional[_Union[Limits, _Mapping]] = ..., created_at: _Optional[str] = ...) -> None: ...
 
 class HandleFacts(_message.Message):
-    __slots__ = ("id", "vertices", "interior_nodes", "centroid", "pose")
+    __slots__ = ("id", "vertices", "interior_nodes", "centroid", "pose", "pivot")
     ID_FIELD_NUMBER: _ClassVar[int]
     VERTICES_FIELD_NUMBER: _ClassVar[int]
     INTERIOR_NODES_FIELD_NUMBER: _ClassVar[int]
     CENTROID_FIELD_NUMBER: _ClassVar[int]
     POSE_FIELD_NUMBER: _ClassVar[int]
+    PIVOT_FIELD_NUMBER: _ClassVar[int]
     id: str
     vertices: int
     interior_nodes: int
     centroid: _containers.RepeatedScalarFieldContainer[float]
     pose: HandlePose
-    def __init__(self, id: _Optional[str] = ..., vertices: _Optional[int] = ..., interior_nodes: _Optional[int] = ..., centroid: _Optional[_Iterable[float]] = ..., pose: _Optional[_Union[HandlePose, _Mapping]] = ...) -> None: ...
+    pivot: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, id: _Optional[str] = ..., vertices: _Optional[int] = ..., interior_nodes: _Optional[int] = ..., centroid: _Optional[_Iterable[float]] = ..., pose: _Optional[_Union[HandlePose, _Mapping]] = ..., pivot: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Limits(_message.Message):
     __slots__ = ("upload_bytes", "vertices", "sessions", "memory_bytes", "handles", "message_bytes", "window", "part_bytes", "ttl_seconds", "history", "solve_ms", "streams", "animations", "clip_bytes", "clip_joints", "animation_frames", "animation_vertices", "quotas")

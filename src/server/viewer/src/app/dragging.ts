@@ -1,7 +1,7 @@
 /** The live drag: poses to the stream, frames into the surface, and their facts into the meters. */
 
 import { type FrameFacts, type PoseEntry, type Session, type SolveOptions, type Stream, schema } from "pliant-client";
-import { type HandlePose, entryOf } from "../model/handles.ts";
+import { type HandlePose, type HandleState, entryOf } from "../model/handles.ts";
 import { changedElsewhere, changedHere, takeOver } from "./following.ts";
 import { bringBack, onScreen } from "./intermission.ts";
 import { repaint } from "./painting.ts";
@@ -93,10 +93,14 @@ export function applyOptions(): void {
   stream?.setOptions(draggingOptions());
 }
 
+function pivotOf(id: string): HandleState["pivot"] {
+  return s.handles.peek().find((handle) => handle.id === id)?.pivot ?? [0, 0, 0];
+}
+
 /** Shows a handle at a pose; the newest wins. */
 export function dragTo(id: string, pose: HandlePose): void {
   setPose(id, pose);
-  pending = [entryOf({ id, pose })];
+  pending = [entryOf({ id, pose, pivot: pivotOf(id) })];
   givenUp = false;
   view().stage.request();
 }
@@ -113,7 +117,7 @@ export async function giveUpDrag(id: string, pose: HandlePose): Promise<void> {
   if (current === undefined || open === undefined) return;
   givenUp = true;
   // The stream's next commit records what was dragged on it: this is.
-  current.pose([entryOf({ id, pose })]);
+  current.pose([entryOf({ id, pose, pivot: pivotOf(id) })]);
   try {
     await allAnswered();
     const positions = await open.session.positions();

@@ -39,7 +39,7 @@ export async function makeHandle(hold: Hold): Promise<void> {
     hold,
     vertices,
     count: vertices.length,
-    centroid: [0, 0, 0],
+    pivot: [0, 0, 0],
     stiffness: 1,
     falloff: { radius: open.report.diagonal * 0.05, kind: "NONE" },
     constrains: { position: true, rotation: true, scale: true },
@@ -104,6 +104,23 @@ export async function setAllHandles(wanted: readonly HandleState[]): Promise<voi
   if (done && known.some(({ pose }) => !isAtRest(pose))) await commitPoses(known.map(({ id }) => id));
 }
 
+/** Has the parts that look hard keep their shape, or lets them bend again; the shape follows. */
+export async function keepHardParts(stiff: boolean): Promise<void> {
+  const open = s.doc.peek();
+  const known = s.handles.peek();
+  if (open === undefined) return;
+  if (known.some(({ vertices }) => vertices === undefined)) {
+    s.note("info", "Not changed", "A handle was set elsewhere, and the page does not know its region.");
+    return;
+  }
+  const done = await changing(stiff ? "Hard parts stiff" : "All parts soft", "Nothing was changed", async () => {
+    merge(await open.session.setHandles({ handles: known.map(messageOf), ...(stiff ? { stiff: { auto: true } } : {}) }), known);
+  });
+  if (!done) return;
+  if (stiff && s.facts.peek()?.solver?.stiffParts === 0) s.note("info", "No hard parts", "Nothing of the model looks like one, or handles hold them.");
+  if (known.some(({ pose }) => !isAtRest(pose))) await commitPoses(known.map(({ id }) => id));
+}
+
 /** Sets the pose of a handle from numbers rather than from the gizmo. */
 export async function poseHandle(id: string, pose: HandleState["pose"]): Promise<void> {
   s.handles.value = s.handles.peek().map((handle) => (handle.id === id ? { ...handle, pose } : handle));
@@ -114,7 +131,7 @@ export async function poseHandle(id: string, pose: HandleState["pose"]): Promise
 export function adoptHandles(facts: Facts, known: readonly HandleState[] = []): void {
   const told = (handle: HandleState): HandleState => {
     const its = facts.handles.find(({ id }) => id === handle.id);
-    return its === undefined ? handle : { ...handle, pose: toldPose(its, handle.pose) };
+    return its === undefined ? handle : { ...handle, pose: poseOf(its.pose, handle.pivot, handle.pose) };
   };
   merge(facts, known.map(told));
   const active = s.activeId.peek();
@@ -174,18 +191,14 @@ async function changing(what: string, failure: string, change: () => Promise<voi
 /** Merges the server's handles with what `known` says about each; the others have the server's poses. */
 function merge(facts: Facts, known: readonly HandleState[]): void {
   s.facts.value = facts;
-  s.handles.value = facts.handles.map((told, k) => ({
-    ...(known.find(({ id }) => id === told.id) ?? { ...unknown(told.id, k), pose: toldPose(told) }),
-    count: told.vertices,
-    centroid: centroidOf(told),
-  }));
+  s.handles.value = facts.handles.map((told, k) => {
+    const pivot = pivotOf(told);
+    const own = known.find(({ id }) => id === told.id) ?? { ...unknown(told.id, k), pivot, pose: poseOf(told.pose, pivot) };
+    return { ...own, count: told.vertices, pivot: isAtRest(own.pose) ? pivot : own.pivot };
+  });
 }
 
-function toldPose(facts: HandleFacts, before?: HandleState["pose"]): HandleState["pose"] {
-  return poseOf(facts.pose, centroidOf(facts), before);
-}
-
-function centroidOf({ centroid: [x, y, z] }: HandleFacts): Vector {
+function pivotOf({ pivot: [x, y, z] }: HandleFacts): Vector {
   return [x ?? 0, y ?? 0, z ?? 0];
 }
 
@@ -198,7 +211,7 @@ function unknown(id: string, hue: number): HandleState {
     hold: "grip",
     vertices: undefined,
     count: 0,
-    centroid: [0, 0, 0],
+    pivot: [0, 0, 0],
     stiffness: 1,
     falloff: { radius: 0, kind: "NONE" },
     constrains: { position: true, rotation: true, scale: true },

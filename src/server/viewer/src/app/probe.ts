@@ -64,12 +64,12 @@ export function installProbe(): void {
     positions: shown,
     beside: () => view().stage.surfaces()[1]?.positions,
     handles: () =>
-      s.handles.peek().map(({ id, name, vertices, pose, centroid }) => ({
+      s.handles.peek().map(({ id, name, vertices, pose, pivot }) => ({
         id,
         name,
         vertices: [...(vertices ?? [])],
         pose,
-        at: place(new Vector3(...centroid).add(new Vector3(...pose.translation))),
+        at: place(new Vector3(...pivot).add(new Vector3(...pose.translation))),
       })),
     place: (vertex) => place(new Vector3().fromArray(shown(), vertex * 3)),
     camera: () => ({ eye: view().stage.camera.position.toArray(), target: view().stage.orbit.target.toArray() }),

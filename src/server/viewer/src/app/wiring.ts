@@ -94,14 +94,14 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
     const holds = handle !== undefined && handle.hold !== "pin" && mode !== undefined && onScreen.value === undefined;
     if (mode !== undefined) gizmo.setMode(mode, s.settings.value.localAxes, false);
     const pose = holds ? untracked(() => posedFor(handle, mode)) : undefined;
-    gizmo.attach(holds ? handle.centroid : undefined, pose, holds && movesFreely(handle, handle.pose) && (mode === "translate" || handle.pose.freely));
+    gizmo.attach(holds ? handle.pivot : undefined, pose, holds && movesFreely(handle, handle.pose) && (mode === "translate" || handle.pose.freely));
   });
   effect(() => view().markers.show(onScreen.value === undefined ? s.handles.value : []));
   effect(() => plane.show(s.cutPlane.value));
   void resumeThisTab();
 }
 
-/** Where a gizmo takes hold of a handle: what has turned by itself is turned on from how it lies. */
+/** Where a gizmo takes hold of a handle: what has turned automatically is turned on from how it lies. */
 function posedFor({ pose, vertices }: HandleState, mode: GizmoMode): HandlePose {
   const [open, surface] = [s.doc.peek(), view().stage.surface];
   if (mode !== "rotate" || !pose.freely || vertices === undefined || open === undefined || surface === undefined) return pose;

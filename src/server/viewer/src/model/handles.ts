@@ -38,7 +38,8 @@ export interface HandleState {
   readonly vertices: Uint32Array | undefined;
   /** Render vertices that it holds, as the server counts. */
   readonly count: number;
-  readonly centroid: Vector;
+  /** The point that its pose is turned and scaled about. A handle keeps it while it has a pose. */
+  readonly pivot: Vector;
   readonly stiffness: number;
   readonly falloff: { readonly radius: number; readonly kind: FalloffKind };
   readonly constrains: Constrains;
@@ -84,24 +85,27 @@ export function messageOf(handle: HandleState): Handle & { id: string } {
       ? { falloff: { radius: handle.falloff.radius, kind: schema.Falloff_Kind[handle.falloff.kind] } }
       : {}),
     rigid: handle.rigid,
-    ...(isAtRest(handle.pose) ? {} : { pose: poseMessage(handle.pose) }),
+    ...(isAtRest(handle.pose) ? {} : { pose: poseMessage(handle) }),
   };
 }
 
 /** Its pose in the schema's words. */
-export function entryOf({ id, pose }: Pick<HandleState, "id" | "pose">): PoseEntry {
-  return { id, pose: poseMessage(pose) };
+export function entryOf(handle: Pick<HandleState, "id" | "pose" | "pivot">): PoseEntry {
+  return { id: handle.id, pose: poseMessage(handle) };
 }
 
-function poseMessage({ translation, rotation, scale, freely }: HandlePose): NonNullable<PoseEntry["pose"]> {
-  return { translation: [...translation], rotationVector: [...rotation], scale: [...scale], ...(freely ? { freeRotation: true } : {}) };
+/** The pivot is said, because the server's default depends on all handles, and these come and go. */
+function poseMessage({ pose, pivot }: Pick<HandleState, "pose" | "pivot">): NonNullable<PoseEntry["pose"]> {
+  const { translation, rotation, scale, freely } = pose;
+  const turn = freely ? { freeRotation: true } : {};
+  return { translation: [...translation], rotationVector: [...rotation], scale: [...scale], pivot: [...pivot], ...turn };
 }
 
 /**
- * A pose from the server, about the handle's centroid as the page has it. Fields that the server omits have rest
+ * A pose from the server, about the handle's pivot as the page has it. Fields that the server omits have rest
  * values. Of equivalent rotations, it is the one nearest to `before`, so that turns are kept.
  */
-export function poseOf(told: schema.HandlePose | undefined, centroid: Vector, before: HandlePose = AT_REST): HandlePose {
+export function poseOf(told: schema.HandlePose | undefined, own: Vector, before: HandlePose = AT_REST): HandlePose {
   if (told === undefined) return AT_REST;
   const [x, y, z, w] = told.rotation;
   const rotation =
@@ -111,8 +115,8 @@ export function poseOf(told: schema.HandlePose | undefined, centroid: Vector, be
   const [size] = told.scale;
   const scale: Vector = told.scale.length === 1 && size !== undefined ? [size, size, size] : vectorOf(told.scale, AT_REST.scale);
   const translation = vectorOf(told.translation, AT_REST.translation);
-  const pivot = vectorOf(told.pivot, centroid);
-  const away: Vector = [pivot[0] - centroid[0], pivot[1] - centroid[1], pivot[2] - centroid[2]];
+  const pivot = vectorOf(told.pivot, own);
+  const away: Vector = [pivot[0] - own[0], pivot[1] - own[1], pivot[2] - own[2]];
   const turned = rotated(quaternionOf(rotation), [away[0] * scale[0], away[1] * scale[1], away[2] * scale[2]]);
   return {
     translation: [translation[0] + away[0] - turned[0], translation[1] + away[1] - turned[1], translation[2] + away[2] - turned[2]],
@@ -123,7 +127,7 @@ export function poseOf(told: schema.HandlePose | undefined, centroid: Vector, be
 }
 
 /**
- * A handle dragged to `translation` from `pose`: it turns by itself, unless it was turned by hand or cannot turn.
+ * A handle dragged to `translation` from `pose`: it turns automatically, unless it was turned by hand or cannot turn.
  */
 export function movesFreely({ constrains }: Pick<HandleState, "constrains">, pose: HandlePose): boolean {
   return constrains.position && constrains.rotation && (pose.freely || pose.rotation.every((x) => x === 0));

@@ -1,5 +1,5 @@
 /**
- * The gizmo: a handle's pose as something to take hold of. It sits at the handle's centroid, moved by its translation;
+ * The gizmo: a handle's pose as something to take hold of. It sits at the handle's pivot, moved by its translation;
  * rotation counts turns, so that a handle can be wound past 180°.
  */
 
@@ -31,7 +31,7 @@ export class Gizmo {
   private pivot: Vector = [0, 0, 0];
   private rotation: Vector = [0, 0, 0];
   private mode: GizmoMode = "translate";
-  /** Whether a handle that is moved turns by itself. */
+  /** Whether a handle that is moved turns automatically. */
   private freely = false;
   private attached = false;
   /** The pose at which the drag began that is under way. */
@@ -87,16 +87,16 @@ export class Gizmo {
     return this.controls.axis;
   }
 
-  /** Places it on a handle, which turns by itself when it is moved if it does so `freely`; without one it hides. */
-  attach(centroid: Vector | undefined, pose: HandlePose | undefined, freely = false): void {
-    this.attached = centroid !== undefined && pose !== undefined;
-    if (centroid === undefined || pose === undefined) {
+  /** Places it on a handle, which turns automatically when it is moved if it does so `freely`; without one it hides. */
+  attach(pivot: Vector | undefined, pose: HandlePose | undefined, freely = false): void {
+    this.attached = pivot !== undefined && pose !== undefined;
+    if (pivot === undefined || pose === undefined) {
       this.controls.detach();
     } else if (!this.controls.dragging) {
-      this.pivot = centroid;
+      this.pivot = pivot;
       this.freely = freely;
       this.rotation = pose.rotation;
-      this.grip.position.set(...add(centroid, pose.translation));
+      this.grip.position.set(...add(pivot, pose.translation));
       this.grip.quaternion.set(...(quaternionOf(pose.rotation) as [number, number, number, number]));
       this.grip.scale.set(...(pose.scale as [number, number, number]));
       this.controls.attach(this.grip);

@@ -60,9 +60,9 @@ export class Markers {
   }
 }
 
-/** Where a handle's centroid is now. */
-export function placeOf({ centroid, pose }: HandleState): THREE.Vector3 {
-  return new THREE.Vector3(...centroid).add(new THREE.Vector3(...pose.translation));
+/** Where a handle's pivot is now. */
+export function placeOf({ pivot, pose }: HandleState): THREE.Vector3 {
+  return new THREE.Vector3(...pivot).add(new THREE.Vector3(...pose.translation));
 }
 
 function disc(): THREE.Texture {

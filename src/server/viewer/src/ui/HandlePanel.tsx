@@ -2,7 +2,7 @@
 
 import type { Vector } from "pliant-client";
 import type { JSX } from "preact";
-import { changeHandle, poseHandle, removeHandle } from "../app/handling.ts";
+import { changeHandle, keepHardParts, poseHandle, removeHandle } from "../app/handling.ts";
 import * as s from "../app/signals.ts";
 import { activate } from "../app/tools.ts";
 import { AT_REST, type HandleState, colourOf, isAtRest } from "../model/handles.ts";
@@ -23,6 +23,13 @@ export function HandlePanel(): JSX.Element {
         ))}
       </ul>
       {active && <Details handle={active} />}
+      {list.length > 0 && (s.doc.value?.report.parts.length ?? 0) > 1 && (
+        <Check
+          label="hard parts stay rigid"
+          checked={(s.facts.value?.solver?.stiffParts ?? 0) > 0}
+          onValue={(stiff) => void keepHardParts(stiff)}
+        />
+      )}
     </Section>
   );
 }
@@ -141,7 +148,7 @@ function Pose({ handle: { id, pose, constrains } }: { handle: HandleState }): JS
       {row("Move", pose.translation, Number((size / 100).toPrecision(1)), 4, undefined, (translation) => set({ translation }))}
       {row("Turn °", scaled(pose.rotation, DEGREES), 5, 1, undefined, (degrees) => set({ rotation: scaled(degrees, 1 / DEGREES), freely: false }))}
       <Check
-        label="turns by itself"
+        label="turns automatically"
         checked={pose.freely}
         disabled={!constrains.position || !constrains.rotation}
         onValue={(freely) => set({ freely })}
