@@ -8,7 +8,7 @@ use crate::engine::facts::{
     DeformerFacts, DeformerWarning, HandleFacts, MeshCounts, ModelFacts, PulledTies, QualityReport, SolverFacts,
     count_u32,
 };
-use crate::engine::handle::{HandlePoses, HandleSet};
+use crate::engine::handle::{HandlePose, HandlePoses, HandleSet};
 use crate::engine::model_topology::ModelTopology;
 use crate::engine::quality::{measure_quality, warn_of_large_faces};
 use crate::engine::region_context::RegionContext;
@@ -432,9 +432,11 @@ impl Deformer {
         }
     }
 
-    /// Default pivots of the handles in force.
-    pub(super) fn pivots(&self) -> &[DVec3] {
-        &self.handles.pivots
+    /// The points that the handles in force turn about where these poses name none.
+    pub(super) fn default_pivots(&self, poses: &HandlePoses) -> Vec<DVec3> {
+        let default = HandlePose::default();
+        let of = |k: usize| self.handles.default_pivot(k, poses.0.get(k).unwrap_or(&default));
+        (0..self.handles.pivots.len()).map(of).collect()
     }
 
     /// The poses that the handles in force came with.

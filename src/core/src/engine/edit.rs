@@ -320,10 +320,11 @@ impl Deformer {
         let at_rest = order.on == EditedShape::Rest;
         // What stands for a vertex that is held is held as well.
         vertices.iter_mut().for_each(|held| seams.spread(held));
+        let pivots = self.default_pivots(order.poses);
         let held = HeldVertices {
             set,
             vertices,
-            pivots: self.pivots(),
+            pivots: &pivots,
             moved: match !at_rest && order.shape.positions != *self.rest() {
                 true => self.transforms_in(&order.shape.positions, order.poses).ok(),
                 false => None,

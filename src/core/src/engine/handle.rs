@@ -229,7 +229,8 @@ pub struct HandlePose {
     pub translation: Option<DVec3>,
     /// How the handle is turned; of a free rotation, where the search for it begins.
     pub rotation: Option<HandleRotation>,
-    /// Whether the rotation is found by the solve, so that what the handle hangs on is bent least.
+    /// Whether the rotation is found by the solve, so that what the handle hangs on is bent least. The pivot is then the centroid where
+    /// none is named.
     pub free_rotation: bool,
     /// How the handle is scaled.
     pub scale: Option<HandleScale>,

@@ -159,7 +159,7 @@ impl ResolvedHandles {
     pub fn transforms(&self, poses: &[HandlePose]) -> Vec<Transform> {
         let mut all = Vec::with_capacity(poses.len() * 2);
         for (k, (pose, handle)) in poses.iter().zip(&self.set.handles).enumerate() {
-            let mut t = pose.to_transform(self.pivots[k]);
+            let mut t = pose.to_transform(self.default_pivot(k, pose));
             if handle.rigid {
                 t.log_scale = DMat3::ZERO;
             }
@@ -170,6 +170,14 @@ impl ResolvedHandles {
             all.extend(images);
         }
         all
+    }
+
+    /// The point that a handle turns about where its pose names none. What turns freely is held by its middle.
+    pub fn default_pivot(&self, handle: usize, pose: &HandlePose) -> DVec3 {
+        match pose.free_rotation {
+            true => self.centroids[handle],
+            false => self.pivots[handle],
+        }
     }
 
     /// The holds whose rotation is found by the solve, for poses by handle.

@@ -1,7 +1,7 @@
 /** Connects signals and scene: made once, when the canvas is there. */
 
 import { computed, effect, untracked } from "@preact/signals";
-import { type HandlePose, type HandleState, movesFreely, turnOf } from "../model/handles.ts";
+import { type HandlePose, type HandleState, heldPose, movesFreely, turnOf } from "../model/handles.ts";
 import { CuttingPlane } from "../scene/cutting.ts";
 import { Gizmo, type GizmoMode } from "../scene/gizmo.ts";
 import { Markers, placeOf } from "../scene/markers.ts";
@@ -102,10 +102,12 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
 }
 
 /** Where a gizmo takes hold of a handle: what has turned automatically is turned on from how it lies. */
-function posedFor({ pose, vertices }: HandleState, mode: GizmoMode): HandlePose {
+function posedFor({ id, pose, vertices, pivot }: HandleState, mode: GizmoMode): HandlePose {
   const [open, surface] = [s.doc.peek(), view().stage.surface];
+  const [x, y, z] = s.facts.peek()?.handles.find((handle) => handle.id === id)?.centroid ?? [];
   if (mode !== "rotate" || !pose.freely || vertices === undefined || open === undefined || surface === undefined) return pose;
-  return { ...pose, rotation: turnOf(vertices, open.topology.positions, surface.positions) };
+  const turn = turnOf(vertices, open.topology.positions, surface.positions);
+  return heldPose(pose, turn, pivot, [x ?? pivot[0], y ?? pivot[1], z ?? pivot[2]]);
 }
 
 /** What the regions look like; the same as before while only poses change. */

@@ -94,11 +94,11 @@ export function entryOf(handle: Pick<HandleState, "id" | "pose" | "pivot">): Pos
   return { id: handle.id, pose: poseMessage(handle) };
 }
 
-/** The pivot is said, because the server's default depends on all handles, and these come and go. */
+/** The pivot is said, because the server's default depends on all handles, and these come and go; what turns freely is held by its middle. */
 function poseMessage({ pose, pivot }: Pick<HandleState, "pose" | "pivot">): NonNullable<PoseEntry["pose"]> {
   const { translation, rotation, scale, freely } = pose;
-  const turn = freely ? { freeRotation: true } : {};
-  return { translation: [...translation], rotationVector: [...rotation], scale: [...scale], pivot: [...pivot], ...turn };
+  const turn = freely ? { freeRotation: true } : { pivot: [...pivot] };
+  return { translation: [...translation], rotationVector: [...rotation], scale: [...scale], ...turn };
 }
 
 /**
@@ -131,6 +131,14 @@ export function poseOf(told: schema.HandlePose | undefined, own: Vector, before:
  */
 export function movesFreely({ constrains }: Pick<HandleState, "constrains">, pose: HandlePose): boolean {
   return constrains.position && constrains.rotation && (pose.freely || pose.rotation.every((x) => x === 0));
+}
+
+/** A pose of a handle that has turned freely by `turn` about its middle, about its pivot instead. */
+export function heldPose(pose: HandlePose, turn: Vector, pivot: Vector, middle: Vector): HandlePose {
+  const away: Vector = [pivot[0] - middle[0], pivot[1] - middle[1], pivot[2] - middle[2]];
+  const turned = rotated(quaternionOf(turn), away);
+  const [x, y, z] = pose.translation;
+  return { ...pose, rotation: turn, translation: [x + turned[0] - away[0], y + turned[1] - away[1], z + turned[2] - away[2]] };
 }
 
 /** How the vertices of a region are turned, axis times angle: the rotation that fits best (Horn 1987, by power iterations). */
