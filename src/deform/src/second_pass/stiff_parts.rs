@@ -250,12 +250,12 @@ impl MovingTogether<'_> {
                     turn: (self.at(node as usize) - center).cross(force),
                 };
             }
+            // What is fitted to a node's edges alone, as where rotations are fitted: the frames of other ends may lag.
             for &(node, other, weight) in self.parts.border_of(part) {
                 let (node, other) = (node as usize, other as usize);
-                let rest = self.body.rest(node) - self.body.rest(other);
-                let own = self.frame(node) * rest;
-                let missing = self.at(node) - self.at(other) - (own + self.frame(other) * rest) * 0.5;
-                sum.turn += own.cross(missing) * (0.5 * f64::from(weight));
+                let own = self.frame(node) * (self.body.rest(node) - self.body.rest(other));
+                let now = self.at(node) - self.at(other);
+                sum.turn += own.cross(now) * (0.5 * f64::from(weight));
             }
             sum
         });
@@ -295,9 +295,10 @@ impl MovingTogether<'_> {
                 let arm = self.at(node) - center - edge * 0.5;
                 let far = self.moved(motion, node, Some(other)) - self.moved(motion, other, Some(node));
                 let force = far * f64::from(weight);
+                let bend = motion.parts[part].turn.cross(edge) * (0.25 * f64::from(weight));
                 sum += Wrench {
                     straight: force,
-                    turn: arm.cross(force),
+                    turn: arm.cross(force) + edge.cross(bend),
                 };
             }
             if self.stiffness.is_some() {
