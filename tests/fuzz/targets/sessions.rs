@@ -8,7 +8,7 @@ use pliant::edit::{KeptSide, SubdivisionScheme};
 use pliant::engine::{
     CutLine, Deformer, DeformerLimits, Edit, Error, Falloff, FalloffCurve, Handle, HandleConstrains, HandlePose,
     HandleScale, HandleSet, MergeJoin, Method, ModelMerge, OpenOptions, Plane, Quality, Region, RemeshCommand,
-    SolveSettings, digest,
+    SolveSettings, Stiff, digest,
 };
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -280,6 +280,10 @@ pub fn handles(bytes: &[u8]) {
         handles: (0..count).map(|k| handle(&mut draw, k, vertices)).collect(),
         symmetry_plane: (draw.below(4) == 0).then(|| Plane::new([1.0, 0.0, 0.0], 0.5)),
         region_of_interest: (draw.below(4) == 0).then(|| any_region(&mut draw, vertices)),
+        stiff: (draw.below(4) == 0).then(|| Stiff {
+            all: true,
+            ..Stiff::default()
+        }),
     };
     if let Err(refused) = deformer.set_handles(&set, &exec) {
         require_reason(&refused, &set);
