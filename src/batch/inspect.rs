@@ -55,6 +55,7 @@ pub fn inspect(
         primitives: facts.primitives,
         solver: facts.solver,
         warnings: facts.warnings,
+        hard_parts: bench.hard_parts(),
         node_count: count(nodes.len()),
         nodes: (0..)
             .zip(&nodes)

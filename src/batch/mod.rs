@@ -299,6 +299,7 @@ pub fn handles_request(job: &pb::Job) -> pb::SetHandlesRequest {
         handles: job.handles.clone(),
         symmetry_plane: job.symmetry_plane.clone(),
         region_of_interest: job.region_of_interest.clone(),
+        stiff: job.stiff.clone(),
     }
 }
 

@@ -72,7 +72,7 @@ fn pose(scene: Scene, t: f64, scaled: bool) -> Vec<(&'static str, HandlePose)> {
                 if scaled { 0.0 } else { 2.5 * t },
             ))),
             scale: scaled.then_some(HandleScale::PerAxis(DVec3::new(1.0 + 0.3 * t, 1.0, 1.0 - 0.2 * t))),
-            pivot: None,
+            ..HandlePose::default()
         },
     )];
     if scene == Scene::Soft {

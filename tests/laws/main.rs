@@ -4,6 +4,7 @@ mod drag;
 mod engine_examples;
 mod equivariance;
 mod first_pass;
+mod free_turns;
 mod graph;
 mod graph_resample;
 mod handle_options;
@@ -12,6 +13,7 @@ mod mesh;
 mod paper;
 mod refinement;
 mod solver_slivers;
+mod stiff_parts;
 #[path = "../support/mod.rs"]
 mod support;
 mod when_set;

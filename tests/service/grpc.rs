@@ -95,6 +95,58 @@ async fn every_rpc_answers() {
     assert_eq!(client.get_session(named(&id)).await.unwrap_err().code(), Code::NotFound);
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn stiff_parts_and_free_rotations_are_one_thing_by_both_protocols() {
+    let (server, id) = Server::start_with_bar().await;
+    let stiff = serde_json::json!({"regions": [{"sphere": {"center": [0.5, 0.5, 2], "radius": 0.8}}]});
+    let pose = serde_json::json!({"translation": [1.5, 0, -0.5], "freeRotation": true});
+    let body = serde_json::json!({"handles": ends(), "stiff": stiff});
+    let put = server.put(&path(&id, "/handles")).json(&body).document().await;
+    assert_eq!(put["solver"]["stiffParts"], 1, "{put}");
+    let solve = serde_json::json!({"pose": {"handles": [{"id": "top", "pose": pose}]}});
+    let solved = server.post(&path(&id, "/solve")).json(&solve).document().await;
+    let quality = &solved["frames"][0]["quality"];
+    assert!(quality["offRigid"].as_f64().is_some_and(|off| off < 1e-9), "{quality}");
+    let shown = server.document(&path(&id, "")).await;
+    assert_eq!(shown["handles"][1]["pose"]["freeRotation"], true, "{shown}");
+
+    let mut client = server.grpc().await;
+    let other = server.open(bar_obj(24)).await["id"].as_str().unwrap().to_owned();
+    let handles = pb::SetHandlesRequest {
+        session_id: other.clone(),
+        handles: end_handles(),
+        stiff: Some(pliant::wire::json::from_json(stiff.to_string().as_bytes()).unwrap()),
+        ..pb::SetHandlesRequest::default()
+    };
+    let held = client.set_handles(handles.clone()).await.unwrap().into_inner();
+    assert_eq!(held.solver.unwrap().stiff_parts, 1);
+    let request = pb::SolveRequest {
+        session_id: other.clone(),
+        pose: Some(pliant::wire::json::from_json(solve["pose"].to_string().as_bytes()).unwrap()),
+        options: None,
+    };
+    let frames = client.solve(request).await.unwrap().into_inner();
+    let frames: Vec<pb::Frame> = frames.map(Result::unwrap).collect().await;
+    let positions = server.content(&path(&id, "/positions")).await;
+    assert_eq!(floats(&frames[0].data), floats(&positions));
+
+    let mut wrong = handles.clone();
+    wrong.stiff.as_mut().unwrap().strength = Some(2.0);
+    assert_eq!(
+        field_of(&client.set_handles(wrong).await.unwrap_err()),
+        "stiff.strength"
+    );
+    let mut missing = handles;
+    missing.stiff = Some(pb::Stiff {
+        components: vec![7],
+        ..pb::Stiff::default()
+    });
+    assert_eq!(
+        field_of(&client.set_handles(missing).await.unwrap_err()),
+        "stiff.components[0]"
+    );
+}
+
 type Client = pliant::server::grpc::client::DeformerClient<tonic::transport::Channel>;
 
 async fn export(client: &mut Client, id: &str, format: &str) -> Result<Vec<pb::Chunk>, tonic::Status> {

@@ -79,8 +79,8 @@ pub use fields::HarmonicFields;
 pub use first_pass::{LocalFrame, LocalRotation, PoseBlend, frames, pack_rotation};
 pub use folds::{FaceChanges, FaceSurroundings, unfold_faces};
 pub use handles::{
-    FreePartPolicy, HandleConstraint, HandleMotion, HandleSetup, HandleShares, HandleSystem, NodeOwnership, UNHELD,
-    carry, shares_difference,
+    FreePartPolicy, HandleConstraint, HandleMotion, HandleSetup, HandleShares, HandleSystem, NodeOwnership, StiffNodes,
+    UNHELD, carry, shares_difference,
 };
 pub use pose::{
     FirstPass, FitOrder, PoseRequest, PoseStats, Quality, SolutionExtent, SolveStart, SolveUpdate, SolvedNodes,

@@ -152,6 +152,9 @@ impl PoseSolve<'_> {
             Some(solved) => solved?,
             None => self.fit_in_turn(fit.as_ref(), posed, state, &mut tally)?,
         };
+        if !handles.stiff.is_empty() {
+            self.stiffen(fit.as_ref(), posed, state)?;
+        }
         self.finish(stats, posed, state, &mut tally)
     }
 

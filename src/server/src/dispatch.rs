@@ -158,6 +158,7 @@ fn cors(config: &ServerConfig) -> CorsLayer {
         "x-pliant-max-stretch",
         "x-pliant-self-intersections",
         "x-pliant-faces-too-large",
+        "x-pliant-off-rigid",
         "x-pliant-followed",
         "x-pliant-frames",
         "x-pliant-warning",

@@ -32,6 +32,7 @@ pub fn session_message(facts: &DeformerFacts) -> pb::Session {
                 .map(|&(vertices, edges)| pb::solver_facts::Level { vertices, edges })
                 .collect(),
             bytes: solver.byte_size,
+            stiff_parts: solver.stiff_parts,
             ties: solver.ties.ties,
             loose_parts: solver.ties.loose_parts,
             loose: solver.ties.loose.iter().map(loose_part_message).collect(),
@@ -95,6 +96,7 @@ pub fn quality_message(quality: &QualityReport) -> pb::Quality {
         flipped_triangles: quality.flipped_triangles,
         max_stretch: quality.max_stretch,
         self_intersections: quality.self_intersections,
+        off_rigid: quality.off_rigid,
         faces_too_large: quality.faces_too_large,
     }
 }

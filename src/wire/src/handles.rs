@@ -7,7 +7,7 @@ use super::poses::{handle_pose, handle_pose_message};
 use super::{Error, pb};
 use glam::DVec3;
 use pliant_core::engine::{
-    Falloff, FalloffCurve, Handle, HandleConstrains, HandlePose, HandleSet, MOST_TUBE_POINTS, Plane, Region,
+    Falloff, FalloffCurve, Handle, HandleConstrains, HandlePose, HandleSet, MOST_TUBE_POINTS, Plane, Region, Stiff,
     VertexRange,
 };
 use std::collections::BTreeSet;
@@ -35,8 +35,62 @@ pub fn handle_set(request: &pb::SetHandlesRequest) -> Result<HandleSet, Error> {
         handles,
         symmetry_plane,
         region_of_interest: interest.map(|r| region(Some(r), "regionOfInterest")).transpose()?,
+        stiff: request.stiff.as_ref().map(stiff).transpose()?,
     })
 }
+
+/// Reads which parts are stiff.
+fn stiff(message: &pb::Stiff) -> Result<Stiff, Error> {
+    let strength = message.strength.unwrap_or(1.0);
+    if !(strength > 0.0 && strength <= 1.0) {
+        return Err(Error::invalid(
+            "stiff.strength",
+            format!("is {strength}, allowed are above 0 to 1"),
+        ));
+    }
+    let listed = [
+        message.primitives.len(),
+        message.components.len(),
+        message.regions.len(),
+    ];
+    if !message.all && !message.auto && listed == [0; 3] {
+        let problem = "names nothing, allowed are primitives, components, regions, all or auto";
+        return Err(Error::invalid("stiff", problem));
+    }
+    let kinds = ["primitives", "components", "regions"];
+    let most = [MOST_STIFF, MOST_STIFF, MOST_STIFF_REGIONS];
+    let mut lists = kinds.into_iter().zip(listed).zip(most);
+    if let Some(((kind, count), most)) = lists.find(|((_, count), most)| count > most) {
+        let problem = format!("has {count} entries, at most {most} are allowed; all and auto take any number of parts");
+        return Err(Error::invalid(format!("stiff.{kind}"), problem));
+    }
+    let regions = message.regions.iter().enumerate();
+    Ok(Stiff {
+        primitives: message.primitives.clone(),
+        components: message.components.clone(),
+        regions: regions
+            .map(|(k, r)| region(Some(r), &format!("stiff.regions[{k}]")))
+            .collect::<Result<_, _>>()?,
+        all: message.all,
+        auto: message.auto,
+        strength,
+    })
+}
+
+fn stiff_message(stiff: &Stiff) -> pb::Stiff {
+    pb::Stiff {
+        primitives: stiff.primitives.clone(),
+        components: stiff.components.clone(),
+        regions: stiff.regions.iter().map(region_message).collect(),
+        all: stiff.all,
+        auto: stiff.auto,
+        strength: (stiff.strength < 1.0).then_some(stiff.strength),
+    }
+}
+
+/// Most primitives and components that are listed as stiff, and most regions: each is looked for in all vertices.
+const MOST_STIFF: usize = 4096;
+const MOST_STIFF_REGIONS: usize = 256;
 
 fn handle(handle: &pb::Handle, field: &str) -> Result<Handle, Error> {
     let region = region(handle.region.as_ref(), &format!("{field}.region"))?;
@@ -181,6 +235,7 @@ pub fn handle_set_message(set: &HandleSet) -> pb::SetHandlesRequest {
         handles: set.handles.iter().map(handle_message).collect(),
         symmetry_plane: set.symmetry_plane.as_ref().map(plane_message),
         region_of_interest: set.region_of_interest.as_ref().map(region_message),
+        stiff: set.stiff.as_ref().map(stiff_message),
     }
 }
 

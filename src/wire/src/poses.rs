@@ -107,6 +107,7 @@ pub fn handle_pose(pose: &pb::HandlePose, field: &str) -> Result<HandlePose, Err
     Ok(HandlePose {
         translation,
         rotation,
+        free_rotation: pose.free_rotation,
         scale: scale(&pose.scale, &format!("{field}.scale"))?,
         pivot,
     })
@@ -130,6 +131,7 @@ pub fn handle_pose_message(pose: &HandlePose) -> pb::HandlePose {
             Some(HandleScale::PerAxis(s)) => s.to_array().to_vec(),
         },
         pivot: vector(pose.pivot),
+        free_rotation: pose.free_rotation,
     }
 }
 

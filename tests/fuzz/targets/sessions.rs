@@ -8,7 +8,7 @@ use pliant::edit::{KeptSide, SubdivisionScheme};
 use pliant::engine::{
     CutLine, Deformer, DeformerLimits, Edit, Error, Falloff, FalloffCurve, Handle, HandleConstrains, HandlePose,
     HandleScale, HandleSet, MergeJoin, Method, ModelMerge, OpenOptions, Plane, Quality, Region, RemeshCommand,
-    SmoothCommand, SmoothKind, SolveSettings, digest,
+    SmoothCommand, SmoothKind, SolveSettings, Stiff, digest,
 };
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -292,6 +292,10 @@ pub fn handles(bytes: &[u8]) {
         handles: (0..count).map(|k| handle(&mut draw, k, vertices)).collect(),
         symmetry_plane: (draw.below(4) == 0).then(|| Plane::new([1.0, 0.0, 0.0], 0.5)),
         region_of_interest: (draw.below(4) == 0).then(|| any_region(&mut draw, vertices)),
+        stiff: (draw.below(4) == 0).then(|| Stiff {
+            all: true,
+            ..Stiff::default()
+        }),
     };
     if let Err(refused) = deformer.set_handles(&set, &exec) {
         require_reason(&refused, &set);
@@ -398,6 +402,9 @@ fn any_pose(draw: &mut ByteDraw<'_>) -> HandlePose {
     }
     if draw.below(3) == 0 {
         pose = pose.about(plain_vector(draw));
+    }
+    if draw.below(8) == 0 {
+        pose = pose.turning_freely();
     }
     pose
 }

@@ -43,6 +43,7 @@ class _State:
     poses: dict[str, pb.HandlePose] = field(default_factory=dict)
     symmetry_plane: pb.Plane | None = None
     region_of_interest: pb.Region | None = None
+    stiff: pb.Stiff | None = None
 
 
 class Books:
@@ -95,7 +96,7 @@ class Books:
         self._unsent = True
 
     def limit(self, **parts: Any) -> None:
-        """Sets the symmetry plane or the region of interest."""
+        """Sets the symmetry plane, the region of interest or what is stiff."""
         self._own()
         self._change(**parts)
 
@@ -125,6 +126,8 @@ class Books:
             request.symmetry_plane.CopyFrom(self._now.symmetry_plane)
         if self._now.region_of_interest is not None:
             request.region_of_interest.CopyFrom(self._now.region_of_interest)
+        if self._now.stiff is not None:
+            request.stiff.CopyFrom(self._now.stiff)
         return request
 
     def sent(self, info: pb.Session) -> None:

@@ -75,6 +75,7 @@ class Declared:
         rotation_vector: Vector | None = None,
         scale: float | Vector | None = None,
         pivot: Vector | None = None,
+        free_rotation: bool = False,
         constrains: Sequence[Literal["position", "rotation", "scale"]] | None = None,
         stiffness: float | None = None,
         rigid: bool = False,
@@ -90,7 +91,7 @@ class Declared:
         with about(f"handle {text('handle', id, 'an id, which is text,')!r}"):
             handle = regions.handle(
                 id,
-                pose=to_message(Pose(translation, rotation, rotation_vector, scale, pivot)),
+                pose=to_message(Pose(translation, rotation, rotation_vector, scale, pivot, free_rotation)),
                 constrains=constrains,
                 stiffness=stiffness,
                 rigid=rigid,
@@ -115,6 +116,23 @@ class Declared:
     def region_of_interest(self, **region: Unpack[RegionFields]) -> None:
         """Keeps everything outside the region fixed bit for bit."""
         self._books.limit(region_of_interest=regions.region(region, self.vertices))
+
+    def stiff(
+        self,
+        *,
+        primitives: Sequence[int] = (),
+        components: Sequence[int] = (),
+        regions_of: Sequence[RegionFields] = (),
+        all: bool = False,
+        auto: bool = False,
+        strength: float | None = None,
+    ) -> None:
+        """Makes parts move as rigid bodies, with no handle each: those that are listed, all components, or those that look like hard
+        parts. What hangs together of each is one part.
+        """
+        named = [regions.region(fields, self.vertices) for fields in regions_of]
+        parts = pb.Stiff(primitives=primitives, components=components, regions=named, all=all, auto=auto, strength=strength)
+        self._books.limit(stiff=parts)
 
     def _check_open(self) -> None:
         if self._books.closed:

@@ -29,6 +29,7 @@ class PoseFields(TypedDict, total=False):
     rotation_vector: Vector
     scale: float | Vector
     pivot: Vector
+    free_rotation: bool
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,8 @@ class Pose:
     scale: float | Vector | None = None
     #: x, y, z; default: the joint between the region and what is free (``HandleFacts.pivot``).
     pivot: Vector | None = None
+    #: The rotation is found: the region turns about the pivot until what it hangs on is bent least.
+    free_rotation: bool = False
 
     @staticmethod
     def from_matrix(model_from_rest: npt.ArrayLike) -> Pose:
@@ -108,10 +111,12 @@ def to_message(pose: PoseLike) -> pb.HandlePose:
         fields = mapping("pose", pose, "a pliant.Pose, a dict of its fields, or an array of shape (4, 4)")
         fields = {snake_case(name): value for name, value in fields.items()}
         for name in fields:
-            if name not in _LENGTHS:
-                raise TypeError(f"{seen(name)}: no such field of a pose; allowed are {', '.join(_LENGTHS)}")
+            if name not in _LENGTHS and name != "free_rotation":
+                raise TypeError(f"{seen(name)}: no such field of a pose; allowed are {', '.join(_LENGTHS)}, free_rotation")
         pose = Pose(**fields)
     message = pb.HandlePose()
+    if pose.free_rotation:
+        message.free_rotation = True
     for name, allowed in _LENGTHS.items():
         value = getattr(pose, name)
         if name == "rotation" and value is not None and array(name, value).size == 3:

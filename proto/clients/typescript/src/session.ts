@@ -124,6 +124,7 @@ export class Session {
     const { headers, bytes } = await this.transport.read("POST", this.path("/solve"), accept, { ...call, json }, read);
     const fact = (name: string): string => headers.get(`x-pliant-${name}`) ?? "";
     const pairs = headers.get("x-pliant-self-intersections");
+    const off = headers.get("x-pliant-off-rigid");
     const quality = create(QualitySchema, {
       edgeRms: Number(fact("edge-rms")),
       volumeChange: Number(fact("volume-change")),
@@ -133,6 +134,7 @@ export class Session {
       maxStretch: Number(fact("max-stretch")),
       facesTooLarge: Number(fact("faces-too-large")),
       ...(pairs === null ? {} : { selfIntersections: Number(pairs) }),
+      ...(off === null ? {} : { offRigid: Number(off) }),
     });
     return {
       positions: new Float32Array(bytes),

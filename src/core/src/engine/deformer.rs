@@ -8,7 +8,7 @@ use crate::engine::facts::{
     DeformerFacts, DeformerWarning, HandleFacts, MeshCounts, ModelFacts, PulledTies, QualityReport, SolverFacts,
     count_u32,
 };
-use crate::engine::handle::{HandlePoses, HandleSet};
+use crate::engine::handle::{HandlePose, HandlePoses, HandleSet};
 use crate::engine::model_topology::ModelTopology;
 use crate::engine::quality::{measure_quality, warn_of_large_faces};
 use crate::engine::region_context::RegionContext;
@@ -16,6 +16,7 @@ use crate::engine::resolved_handles::{ResolvedHandles, resolve_handles};
 use crate::engine::riding::{RidingNodes, mark_passengers};
 use crate::engine::settings::{DeformerLimits, OpenOptions};
 use crate::engine::shape::{ModelShape, ShapeId, TopologyId};
+use crate::engine::stiff::{farthest_off_rigid, find_hard_parts};
 use crate::exec::Exec;
 use crate::mesh::{Mesh, MeshReport, self_intersections};
 use crate::pool::Pool;
@@ -26,6 +27,10 @@ use std::sync::Arc;
 
 /// Bytes of a harmonic field for each handle and node while it is solved: the solution and the right-hand side.
 const FIELD_BYTES: u64 = 16;
+
+/// Bytes of stiff parts for each node and entry of an edge.
+const STIFF_NODE_BYTES: u64 = 64;
+const STIFF_EDGE_BYTES: u64 = 12;
 
 /// A model with everything derived from it. One owner; solves need `&mut`.
 pub struct Deformer {
@@ -232,6 +237,11 @@ impl Deformer {
         self.derived.report()
     }
 
+    /// The connected components that look like hard parts, see [`find_hard_parts`].
+    pub fn hard_parts(&self) -> Vec<u32> {
+        find_hard_parts(&self.derived.mesh, &self.derived.parts)
+    }
+
     /// The graph and hierarchy.
     pub fn body(&self) -> &DeformableBody {
         &self.derived.body
@@ -312,6 +322,8 @@ impl Deformer {
                 ties: self.derived.tie_facts().clone(),
                 levels: levels.iter().map(|l| (count_u32(l.vertices), l.edges as u64)).collect(),
                 byte_size: self.byte_size(),
+                stiff_parts: (self.handle_system.as_ref())
+                    .map_or(0, |system| count_u32(system.stiff_parts(body).count())),
             },
             handles: self.handle_facts(),
         }
@@ -371,6 +383,12 @@ impl Deformer {
         let most = handles.handles.len() as u64 * if handles.symmetry_plane.is_some() { 2 } else { 1 };
         // The handles in force and the states that were left stay until the new ones are whole.
         let held = self.estimate() + self.spare_bytes() + (most + 1) * body.nodes() as u64 * FIELD_BYTES;
+        // Parts with their edges, and a second system.
+        let stiff = match &handles.stiff {
+            Some(_) => body.nodes() as u64 * STIFF_NODE_BYTES + body.graph.neighbours.len() as u64 * STIFF_EDGE_BYTES,
+            None => 0,
+        };
+        let held = held + stiff;
         let admit = |held_by_handles: u64| {
             exec.check()?;
             admit_bytes(held + held_by_handles, &self.room_limits(), exec)
@@ -414,9 +432,11 @@ impl Deformer {
         }
     }
 
-    /// Default pivots of the handles in force.
-    pub(super) fn pivots(&self) -> &[DVec3] {
-        &self.handles.pivots
+    /// The points that the handles in force turn about where these poses name none.
+    pub(super) fn default_pivots(&self, poses: &HandlePoses) -> Vec<DVec3> {
+        let default = HandlePose::default();
+        let of = |k: usize| self.handles.default_pivot(k, poses.0.get(k).unwrap_or(&default));
+        (0..self.handles.pivots.len()).map(of).collect()
     }
 
     /// The poses that the handles in force came with.
@@ -446,7 +466,7 @@ impl Deformer {
             return Ok(0.0);
         };
         let now = |s: usize| positions[self.derived.mesh.render_vertices_of(s as u32)[0] as usize];
-        let farthest = system.largest_misplacement(self.body(), &self.transforms(poses)?, now);
+        let farthest = system.largest_misplacement(self.body(), &self.transforms_in(positions, poses)?, now);
         let diagonal = self.diagonal();
         Ok(if diagonal > 0.0 { farthest / diagonal } else { farthest })
     }
@@ -458,6 +478,9 @@ impl Deformer {
     pub fn measure(&self, positions: &[DVec3], count_crossings: bool, exec: &Exec<'_>) -> Result<QualityReport, Error> {
         let deformed = self.welded(positions);
         let mut found = measure_quality(self.mesh(), self.report().closed, &deformed, exec.pool);
+        if let Some(system) = &self.handle_system {
+            found.off_rigid = farthest_off_rigid(system, self.body(), |vertex| deformed[vertex]);
+        }
         if count_crossings {
             let pairs = self_intersections(&deformed, &self.mesh().triangles, exec)?;
             found.self_intersections = Some(u32::try_from(pairs).unwrap_or(u32::MAX));

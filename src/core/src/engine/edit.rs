@@ -57,7 +57,11 @@ impl Deformer {
                 handles,
                 mesh: &self.derived.mesh,
                 shape: &order.shape.positions,
-                turn: largest_turn(&self.handles, order.poses),
+                turn: largest_turn(
+                    &self
+                        .transforms_in(&order.shape.positions, order.poses)
+                        .unwrap_or_default(),
+                ),
                 diagonal: self.diagonal(),
             }),
             surface: &mut surface,
@@ -309,14 +313,24 @@ impl Deformer {
             let held = vertices_in_region(&context, region, None);
             vertices.push(held.map_err(|e| e.below("regionOfInterest"))?);
         }
+        if let Some(stiff) = &set.stiff {
+            for (field, region) in stiff.listed() {
+                let held = vertices_in_region(&context, &region, None);
+                vertices.push(held.map_err(|e| e.below(&field))?);
+            }
+        }
         let at_rest = order.on == EditedShape::Rest;
         // What stands for a vertex that is held is held as well.
         vertices.iter_mut().for_each(|held| seams.spread(held));
+        let pivots = self.default_pivots(order.poses);
         let held = HeldVertices {
             set,
             vertices,
-            pivots: self.pivots(),
-            moved: (!at_rest && order.shape.positions != *self.rest()).then(|| self.handles.transforms(&order.poses.0)),
+            pivots: &pivots,
+            moved: match !at_rest && order.shape.positions != *self.rest() {
+                true => self.transforms_in(&order.shape.positions, order.poses).ok(),
+                false => None,
+            },
         };
         let poses = at_rest.then_some(order.poses.0.as_slice());
         Ok(carry_handles(&held, poses, applied, patch))

@@ -7,7 +7,7 @@ use crate::asset::{FileSet, Format};
 use crate::deform::Transform;
 use crate::edit::{KeptSide, PatchedSurface, SubdivisionScheme, SurfacePatch};
 use crate::engine::facts::{DeformerWarning, MeshCounts, WarningPlace};
-use crate::engine::handle::{Handle, HandlePose, HandlePoses, HandleSet, Plane, Region, VertexRange};
+use crate::engine::handle::{Handle, HandlePose, HandlePoses, HandleSet, Plane, Region, Stiff, VertexRange};
 use crate::engine::settings::SolveSettings;
 use crate::engine::shape::ModelShape;
 use crate::mesh::NONE;
@@ -343,7 +343,7 @@ pub(super) struct CarriedHandles {
 pub(super) struct HeldVertices<'a> {
     /// The handles.
     pub set: &'a HandleSet,
-    /// The render vertices of each handle, then those of the region of interest.
+    /// The render vertices of each handle, then those of the region of interest, then those of each thing that is listed as stiff.
     pub vertices: Vec<Vec<bool>>,
     /// The default pivots.
     pub pivots: &'a [DVec3],
@@ -395,6 +395,19 @@ pub(super) fn carry_handles(
             carried.warnings.push(lost_region_of_interest());
         }
     }
+    carried.set.stiff = old.stiff.as_ref().map(|stiff| {
+        // What an edit leaves of them has other numbers.
+        let first = old.handles.len() + usize::from(old.region_of_interest.is_some());
+        let regions = held.vertices[first..].iter();
+        Stiff {
+            primitives: Vec::new(),
+            components: Vec::new(),
+            regions: regions
+                .filter_map(|marks| carry_vertices(marks, applied, patch, true))
+                .collect(),
+            ..*stiff
+        }
+    });
     carried
 }
 

@@ -65,6 +65,8 @@ pub struct SolverFacts {
     pub levels: Vec<(u32, u64)>,
     /// Bytes held by the deformer.
     pub byte_size: u64,
+    /// Parts that move as rigid bodies with no handle.
+    pub stiff_parts: u32,
 }
 
 /// What holds the connected parts of a model together.
@@ -163,6 +165,9 @@ pub struct QualityReport {
     pub faces_too_large: u32,
     /// Pairs of triangles that cross, when asked for.
     pub self_intersections: Option<u32>,
+    /// With stiff parts: the largest distance of a vertex of one from a rigid motion of its rest shape, as a share of the part's
+    /// diagonal.
+    pub off_rigid: Option<f64>,
 }
 
 impl MeshCounts {

@@ -67,6 +67,61 @@ pub struct HandleSet {
     pub symmetry_plane: Option<Plane>,
     /// A region outside of which all positions keep their bits.
     pub region_of_interest: Option<Region>,
+    /// Parts that move as rigid bodies, with no handle each.
+    pub stiff: Option<Stiff>,
+}
+
+/// Parts that move as rigid bodies. What hangs together of a primitive, a component or a region is one part; where they overlap,
+/// the later one has the vertices, regions after components and these after primitives.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Stiff {
+    /// Primitives, by their numbers in the model.
+    pub primitives: Vec<u32>,
+    /// Connected components, by their numbers.
+    pub components: Vec<u32>,
+    /// Regions.
+    pub regions: Vec<Region>,
+    /// All components.
+    pub all: bool,
+    /// Those components that [`find_hard_parts`](crate::engine::find_hard_parts) finds.
+    pub auto: bool,
+    /// How rigid they are, above 0 to 1.
+    pub strength: f64,
+}
+
+impl Default for Stiff {
+    fn default() -> Self {
+        Self {
+            primitives: Vec::new(),
+            components: Vec::new(),
+            regions: Vec::new(),
+            all: false,
+            auto: false,
+            strength: 1.0,
+        }
+    }
+}
+
+impl Stiff {
+    /// Bytes held, about.
+    pub fn byte_size(&self) -> usize {
+        let regions: usize = self.regions.iter().map(Region::byte_size).sum();
+        4 * (self.primitives.len() + self.components.len()) + regions
+    }
+
+    /// What is listed, in the order in which the later one has the vertices, each with its field.
+    pub(super) fn listed(&self) -> Vec<(String, Region)> {
+        let number = |kind: &'static str| move |k: usize| format!("stiff.{kind}[{k}]");
+        let of = |numbers: &[u32], field: &dyn Fn(usize) -> String, region: fn(u32) -> Region| {
+            let each = numbers.iter().enumerate().map(|(k, &n)| (field(k), region(n)));
+            each.collect::<Vec<_>>()
+        };
+        let mut listed = of(&self.primitives, &number("primitives"), Region::Primitive);
+        listed.extend(of(&self.components, &number("components"), Region::Component));
+        let regions = self.regions.iter().cloned().enumerate();
+        listed.extend(regions.map(|(k, region)| (number("regions")(k), region)));
+        listed
+    }
 }
 
 impl HandleConstrains {
@@ -114,7 +169,8 @@ impl HandleSet {
         let regions: usize = handles
             .map(|h| size_of::<Handle>() + h.id.len() + h.region.byte_size())
             .sum();
-        regions + self.region_of_interest.as_ref().map_or(0, Region::byte_size)
+        let stiff = self.stiff.as_ref().map_or(0, Stiff::byte_size);
+        regions + stiff + self.region_of_interest.as_ref().map_or(0, Region::byte_size)
     }
 }
 
@@ -131,7 +187,11 @@ impl HandleSet {
         let each: u64 = self.handles.iter().map(of_handle).sum();
         let mirrored = if self.symmetry_plane.is_some() { 2 } else { 1 };
         let interest = self.region_of_interest.as_ref().map_or(0, of_region);
-        (mirrored * each + interest).saturating_mul(points)
+        let stiff: u64 = self.stiff.as_ref().map_or(0, |stiff| {
+            let listed = stiff.primitives.len() + stiff.components.len();
+            listed as u64 + stiff.regions.iter().map(of_region).sum::<u64>() + 4
+        });
+        (mirrored * each + interest + stiff).saturating_mul(points)
     }
 }
 
@@ -167,8 +227,11 @@ impl From<&HandleSet> for HandleSet {
 pub struct HandlePose {
     /// The way that the handle has moved, in model units.
     pub translation: Option<DVec3>,
-    /// How the handle is turned.
+    /// How the handle is turned; of a free rotation, where the search for it begins.
     pub rotation: Option<HandleRotation>,
+    /// Whether the rotation is found by the solve, so that what the handle hangs on is bent least. The pivot is then the centroid where
+    /// none is named.
+    pub free_rotation: bool,
     /// How the handle is scaled.
     pub scale: Option<HandleScale>,
     /// The point that it is turned and scaled about; `None`: [`HandleFacts::pivot`](super::HandleFacts::pivot), the joint between
@@ -217,6 +280,15 @@ impl HandlePose {
     pub fn rotated(self, vector: impl Into<DVec3>) -> Self {
         Self {
             rotation: Some(HandleRotation::Vector(vector.into())),
+            ..self
+        }
+    }
+
+    /// Has the solve find the rotation.
+    #[must_use]
+    pub fn turning_freely(self) -> Self {
+        Self {
+            free_rotation: true,
             ..self
         }
     }

@@ -49,6 +49,7 @@ mod seams;
 mod settings;
 mod shape;
 mod solve;
+mod stiff;
 mod topology_state;
 mod tube_region;
 
@@ -72,7 +73,7 @@ pub use facts::{
 };
 pub use handle::{
     Falloff, FalloffCurve, Handle, HandleConstrains, HandlePose, HandlePoses, HandleRotation, HandleScale, HandleSet,
-    Plane, Region, VertexRange,
+    Plane, Region, Stiff, VertexRange,
 };
 pub use quality::FrameQuality;
 pub use riding::CarriedNode;
@@ -82,5 +83,6 @@ pub use settings::{
 };
 pub use shape::{ModelShape, Shader, Shading, ShapeId, TopologyId, digest, shading};
 pub use solve::Drag;
+pub use stiff::find_hard_parts;
 pub use topology_state::TopologyState;
 pub use tube_region::MOST_TUBE_POINTS;

@@ -2,11 +2,9 @@
 //!
 //! Faces too large to show the bend between handles are reported before and after a pose, and divided on request.
 
-use crate::deform::{FaceChanges, HandleSystem, exp_rotation, shares_difference};
+use crate::deform::{FaceChanges, HandleSystem, Transform, exp_rotation, shares_difference};
 use crate::edit::{EvennessTarget, FieldSample, SurfacePatch, SurfaceView, subdivide_until_even};
 use crate::engine::facts::{DeformerWarning, QualityReport};
-use crate::engine::handle::HandlePoses;
-use crate::engine::resolved_handles::ResolvedHandles;
 use crate::exec::Exec;
 use crate::mesh::local_turns::{is_turned_over, largest_stretch, vertex_gradients};
 use crate::mesh::query::TriangleBvh;
@@ -44,6 +42,7 @@ pub(super) fn measure_quality(mesh: &Mesh, closed: bool, deformed: &[DVec3], poo
         max_stretch,
         faces_too_large,
         self_intersections: None,
+        off_rigid: None,
     }
 }
 
@@ -336,13 +335,9 @@ fn thickness_at(surface: &SurfaceView<'_>, tree: &TriangleBvh<'_>, t: u32, diago
     ways.fold(f64::INFINITY, f64::min)
 }
 
-/// The largest angle by which poses turn two handles against each other, radians; more than a half turn counts in full
+/// The largest angle by which two handles are turned against each other, radians; more than a half turn counts in full
 /// where a handle is alone in turning.
-pub(super) fn largest_turn(handles: &ResolvedHandles, poses: &HandlePoses) -> f64 {
-    if poses.0.len() != handles.set.handles.len() {
-        return 0.0;
-    }
-    let transforms = handles.transforms(&poses.0);
+pub(super) fn largest_turn(transforms: &[Transform]) -> f64 {
     let mut largest = 0.0f64;
     for (i, a) in transforms.iter().enumerate() {
         largest = largest.max(a.rotation.length());

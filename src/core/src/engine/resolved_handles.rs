@@ -2,12 +2,13 @@
 
 use super::error::Error;
 use super::facts::DeformerWarning;
-use super::handle::{Falloff, FalloffCurve, Handle, HandlePose, HandleSet, Region};
+use super::handle::{Falloff, FalloffCurve, Handle, HandlePose, HandleSet, Region, Stiff};
 use super::region_context::{
     MirrorPlane, RegionContext, RegionNodes, holds_nothing, nodes_in_region, region_centroid, vertices_in_region,
     vertices_of_handle,
 };
-use crate::deform::{DeformableBody, FreePartPolicy, HandleConstraint, HandleSetup, Transform};
+use super::stiff::{stiff_nodes, stiff_vertices};
+use crate::deform::{DeformableBody, FreePartPolicy, HandleConstraint, HandleSetup, StiffNodes, Transform};
 use crate::exec::Exec;
 use crate::mesh::NONE;
 use crate::progress::Cancelled;
@@ -80,6 +81,9 @@ pub(super) fn resolve_handles(
             let problem = "needs stiffness: a hard handle cannot fade out";
             return Err(Error::invalid(format!("handles[{k}].falloff"), problem));
         }
+        if let Some(pose) = &handle.pose {
+            check_free_rotation(handle, pose, &format!("handles[{k}].pose"))?;
+        }
         let hold = hold_nodes(body, handle, held, context.exec)?;
         if hold.stiffness.is_none() && hold.position {
             unreferenced.extend(unreferenced_vertices(context, &vertices, k as u32));
@@ -100,6 +104,10 @@ pub(super) fn resolve_handles(
     let frozen = frozen_nodes(context, body, set.region_of_interest.as_ref())?;
     resolved.warnings = overlap_warnings(&set.handles, &holds, &images, &frozen);
     holds.extend(images);
+    let stiff = match &set.stiff {
+        Some(stiff) => join_stiff(context, body, stiff, &mut holds, &mut resolved.warnings)?,
+        None => StiffNodes::default(),
+    };
     unreferenced.sort_by_key(|&(vertex, hold)| (vertex, hold));
     // The last handle that names a vertex has it.
     unreferenced.reverse();
@@ -120,8 +128,30 @@ pub(super) fn resolve_handles(
             handles: holds,
             frozen,
             policy,
+            stiff,
         },
     ))
+}
+
+/// The nodes of stiff parts. Parts that a hard handle holds any node of go to that handle.
+fn join_stiff(
+    context: &RegionContext<'_>,
+    body: &DeformableBody,
+    stiff: &Stiff,
+    holds: &mut [HandleConstraint],
+    warnings: &mut Vec<DeformerWarning>,
+) -> Result<StiffNodes, Error> {
+    let part_of_vertex = stiff_vertices(context, stiff)?;
+    let (nodes, bent) = stiff_nodes(body, &part_of_vertex, stiff.strength, holds);
+    if let Some(first) = bent.first() {
+        let message = format!(
+            "{} stiff parts are held by several hard handles, and bend between them",
+            bent.len()
+        );
+        let place = format!("the first at ({}, {}, {})", first.x, first.y, first.z);
+        warnings.push(DeformerWarning::new("stiff-part-held", message, place));
+    }
+    Ok(nodes)
 }
 
 impl ResolvedHandles {
@@ -129,7 +159,7 @@ impl ResolvedHandles {
     pub fn transforms(&self, poses: &[HandlePose]) -> Vec<Transform> {
         let mut all = Vec::with_capacity(poses.len() * 2);
         for (k, (pose, handle)) in poses.iter().zip(&self.set.handles).enumerate() {
-            let mut t = pose.to_transform(self.pivots[k]);
+            let mut t = pose.to_transform(self.default_pivot(k, pose));
             if handle.rigid {
                 t.log_scale = DMat3::ZERO;
             }
@@ -141,6 +171,35 @@ impl ResolvedHandles {
         }
         all
     }
+
+    /// The point that a handle turns about where its pose names none. What turns freely is held by its middle.
+    pub fn default_pivot(&self, handle: usize, pose: &HandlePose) -> DVec3 {
+        match pose.free_rotation {
+            true => self.centroids[handle],
+            false => self.pivots[handle],
+        }
+    }
+
+    /// The holds whose rotation is found by the solve, for poses by handle.
+    pub fn turning_freely(&self, poses: &[HandlePose]) -> Vec<usize> {
+        let images = if self.mirror.is_some() { 2 } else { 1 };
+        let all = poses.iter().cycle().take(images * poses.len()).enumerate();
+        all.filter(|(_, pose)| pose.free_rotation)
+            .map(|(hold, _)| hold)
+            .collect()
+    }
+}
+
+/// Refuses a free rotation of a handle that has no say in rotations, or in where it turns; `field` is the pose's.
+pub(super) fn check_free_rotation(handle: &Handle, pose: &HandlePose, field: &str) -> Result<(), Error> {
+    if !pose.free_rotation || (handle.constrains.position && handle.constrains.rotation) {
+        return Ok(());
+    }
+    let problem = format!(
+        "is set, but handle \"{}\" does not constrain both POSITION and ROTATION",
+        handle.id
+    );
+    Err(Error::invalid(format!("{field}.freeRotation"), problem))
 }
 
 /// How many lists of pulls the system makes: one where each handle constrains all kinds of quantities or none, else one for each kind.

@@ -5,6 +5,7 @@
 
 use crate::deform::{
     DeformableBody, FirstPass, HandleSystem, PoseRequest, Quality, SolutionExtent, SolveStart, SolveUpdate, Transform,
+    fit_rigid_motion,
 };
 use crate::engine::Deformer;
 use crate::engine::buckles::BuckleWatch;
@@ -12,6 +13,7 @@ use crate::engine::deformer::CommittedShape;
 use crate::engine::edit_command::{Edit, EditCommand, EditOutcome, EditedShape};
 use crate::engine::error::Error;
 use crate::engine::handle::{HandlePose, HandlePoses};
+use crate::engine::resolved_handles::check_free_rotation;
 use crate::engine::riding::RidingVertices;
 use crate::engine::settings::{COMMIT_REFINE, SolveMode, SolveSettings};
 use crate::engine::shape::{ModelShape, ShapeId};
@@ -43,6 +45,7 @@ impl Deformer {
                 let problem = format!("no handle \"{id}\" is set, there are {}", ids.join(", "));
                 return Err(Error::invalid(format!("pose.handles[{k}].id"), problem));
             };
+            check_free_rotation(&handles[at], &pose, &format!("pose.handles[{k}].pose"))?;
             all[at] = pose;
         }
         Ok(HandlePoses(Arc::new(all)))
@@ -54,7 +57,8 @@ impl Deformer {
             .ok_or_else(|| Error::Precondition("no handles are set; set them before deforming".into()))
     }
 
-    /// The transforms of the system's handles for poses by handle, in model space.
+    /// The transforms of the system's handles for poses by handle, in model space. A free rotation is where the search for it
+    /// begins; [`Deformer::transforms_in`] has those that were found.
     ///
     /// # Errors
     /// [`Error::Precondition`] without handles; [`Error::Internal`] when poses do not belong to the handles in force.
@@ -64,6 +68,27 @@ impl Deformer {
             return Err(Error::Internal("poses of other handles".into()));
         }
         Ok(self.handles.transforms(&poses.0))
+    }
+
+    /// As [`Deformer::transforms`] of the `poses` of a shape (one position per render vertex), with the free rotations that it has.
+    ///
+    /// # Errors
+    /// Those of [`Deformer::transforms`].
+    pub fn transforms_in(&self, positions: &[DVec3], poses: &HandlePoses) -> Result<Vec<Transform>, Error> {
+        let mut transforms = self.transforms(poses)?;
+        let free = self.handles.turning_freely(&poses.0);
+        if let Some(system) = self.handle_system.as_ref().filter(|_| !free.is_empty()) {
+            let body = &self.derived.body;
+            let now = |s: u32| positions[self.derived.mesh.render_vertices_of(s)[0] as usize];
+            for hold in free {
+                let nodes = &system.setup().handles[hold].nodes;
+                let surface = nodes.iter().filter(|n| (**n as usize) < body.graph.surface);
+                let (rest, there): (Vec<DVec3>, Vec<DVec3>) =
+                    surface.map(|&n| (body.graph.positions[n as usize], now(n))).unzip();
+                transforms[hold].rotation = fit_rigid_motion(&rest, &there).rotation;
+            }
+        }
+        Ok(transforms)
     }
 
     /// Solves a pose. `watch` is called after every cycle; `false` takes the result as it is.
@@ -79,7 +104,8 @@ impl Deformer {
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
     ) -> Result<ModelShape, Error> {
-        let transforms = self.transforms(poses)?;
+        let mut transforms = self.transforms(poses)?;
+        let free = self.handles.turning_freely(&poses.0);
         self.derived.bind_riders(&self.room_limits(), exec)?;
         let Self {
             handle_system: Some(handle_system),
@@ -95,6 +121,11 @@ impl Deformer {
             return Err(Error::Internal("handles without a system".into()));
         };
         let body = &derived.body;
+        if !free.is_empty() {
+            exec.progress.begin_pass("turn");
+            let request = pose_request(&transforms, settings, mode, false);
+            transforms = handle_system.find_turns(body, &request, &free, state, exec)?;
+        }
         let request = pose_request(&transforms, settings, mode, derived.shows_without_frames());
         let shape = ShapeTransfer {
             body,
@@ -134,7 +165,8 @@ impl Deformer {
         if mode == SolveMode::Commit && settings.method != Method::SpatialRbf {
             let watch = BuckleWatch::of(derived, handle_system, request, exec);
             watch.unfold(&mut solved);
-            if settings.watches_fits() {
+            // Stiff parts are put in their place after the fits, which are not to be changed under them.
+            if settings.watches_fits() && handle_system.stiff_parts(body).next().is_none() {
                 solved = watch.unbuckled(solved, state)?;
             }
         }

@@ -31,6 +31,15 @@ impl HandleConstraint {
     }
 }
 
+/// Which nodes are stiff, as asked for.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct StiffNodes {
+    /// By node: the number of its part, or [`UNHELD`]; empty = no node is stiff.
+    pub part_of: Vec<u32>,
+    /// How far a part gives way: 1 is rigid, at 0 it would be as soft as without.
+    pub strength: f64,
+}
+
 /// What a [`HandleSystem`](crate::HandleSystem) is built from.
 #[derive(Debug, Clone, Default)]
 pub struct HandleSetup {
@@ -40,6 +49,8 @@ pub struct HandleSetup {
     pub frozen: Vec<bool>,
     /// What happens to parts without a position constraint.
     pub policy: FreePartPolicy,
+    /// Nodes that move as rigid bodies where no hard handle holds any of theirs.
+    pub stiff: StiffNodes,
 }
 
 /// In an owner list: a node without an owner.

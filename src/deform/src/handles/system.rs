@@ -5,6 +5,7 @@ use crate::error::Error;
 use crate::fields::{HarmonicFields, SparseShares, solve_fields};
 use crate::handles::free_parts::FreeParts;
 use crate::handles::ownership::{HandleConstraint, HandleSetup, NodeOwnership, UNHELD};
+use crate::handles::stiff::StiffParts;
 use crate::rotation::Transform;
 use glam::DVec3;
 use pliant_exec::Exec;
@@ -33,6 +34,8 @@ pub struct HandleSystem {
     /// With rigid regions that nothing holds hard: the system in which they are given too.
     pub(crate) rigid: Option<ConstrainedSystem>,
     pub(crate) parts: FreeParts,
+    /// Parts that move as rigid bodies.
+    pub(crate) stiff: StiffParts,
     /// The fields that rotations are blended with, node by node; made when first asked for.
     sparse: OnceLock<SparseShares>,
     /// Iterations that the fields took, for reports.
@@ -85,14 +88,13 @@ impl HandleSystem {
             None => constrained(body, fixed, stiffness.as_deref(), exec.pool)?,
         };
         let loose: Vec<&HandleConstraint> = setup.handles.iter().filter(|h| h.is_loosely_rigid()).collect();
-        let rigid = if loose.is_empty() {
+        let stiff = StiffParts::settle(body, &setup.stiff, &position, &covered);
+        let rigid = if loose.is_empty() && stiff.is_empty() {
             None
         } else {
             let mut fixed = positions.fixed.clone();
-            loose
-                .iter()
-                .flat_map(|h| &h.nodes)
-                .for_each(|&n| fixed[n as usize] = true);
+            let held = loose.iter().flat_map(|h| &h.nodes);
+            held.chain(stiff.all_nodes()).for_each(|&n| fixed[n as usize] = true);
             Some(constrained(body, fixed, stiffness.as_deref(), exec.pool)?)
         };
         Ok(Self {
@@ -105,6 +107,7 @@ impl HandleSystem {
             positions,
             rigid,
             parts,
+            stiff,
             sparse: OnceLock::new(),
             field_iterations,
         })
@@ -197,6 +200,15 @@ impl HandleSystem {
         count
     }
 
+    /// The surface nodes of each part that moves as a rigid body.
+    pub fn stiff_parts<'a>(&'a self, body: &'a DeformableBody) -> impl Iterator<Item = &'a [u32]> + 'a {
+        let surface = body.graph.surface as u32;
+        (0..self.stiff.count()).map(move |part| {
+            let nodes = self.stiff.nodes_of(part);
+            &nodes[..nodes.partition_point(|n| *n < surface)]
+        })
+    }
+
     /// Largest distance of a surface node that is held hard from where its handle puts it (or from rest, where nothing may
     /// move). `now` returns where a surface node is; `transforms` has one for each hold.
     pub fn largest_misplacement(
@@ -232,6 +244,8 @@ impl HandleSystem {
             + self.scale_fields.as_ref().map_or(0, |f| f.byte_size())
             + self.sparse.get().map_or(0, SparseShares::byte_size)
             + self.position.byte_size()
+            + self.stiff.byte_size()
+            + self.setup.stiff.part_of.capacity() * 4
             + if self.rotation.shares_with(&self.position) {
                 0
             } else {

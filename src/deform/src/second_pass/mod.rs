@@ -7,6 +7,9 @@ pub(super) mod refine;
 pub(super) mod single_precision;
 mod smoother;
 pub(super) mod state;
+mod stiff_parts;
+pub(super) mod turn_steps;
+mod turning;
 
 pub use equations::SecondPassEquations;
 pub use smoother::{TurnChange, TurnChangeKind};

@@ -7,6 +7,7 @@ use crate::first_pass::blend::{LocalFrame, LocalRotation};
 use crate::handles::ownership::UNHELD;
 use crate::handles::system::HandleSystem;
 use crate::rotation::Transform;
+use crate::second_pass::turn_steps::TurnSteps;
 use glam::DVec3;
 use pliant_exec::pool::Pool;
 use pliant_solver::{PoseRows, Workspace};
@@ -26,6 +27,8 @@ pub struct SolveState {
     pub(crate) rows: DragRows,
     /// Memory for the positions and frames of the next pose of a drag.
     pub(crate) spare: (Vec<DVec3>, Vec<LocalFrame>),
+    /// What was learnt of turns that are not given.
+    pub(crate) turning: TurnSteps,
 }
 
 impl SolveState {
@@ -37,6 +40,7 @@ impl SolveState {
             + self.spare.1.capacity() * size_of::<LocalFrame>()
             + self.workspace.byte_size()
             + self.rows.byte_size()
+            + self.turning.byte_size()
     }
 
     /// Where there is no last solution the rest shape is one, with all handles in the rest pose.
@@ -101,6 +105,7 @@ impl SolveState {
     pub fn reset(&mut self) {
         self.forget();
         self.transforms.clear();
+        self.turning.clear();
         self.rhs.clear();
     }
 

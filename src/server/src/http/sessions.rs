@@ -216,6 +216,9 @@ fn facts(solved: &CommittedPose) -> HeaderMap {
         if let Some(pairs) = quality.self_intersections {
             set("x-pliant-self-intersections", pairs.to_string());
         }
+        if let Some(off) = quality.off_rigid {
+            set("x-pliant-off-rigid", off.to_string());
+        }
     }
     headers
 }

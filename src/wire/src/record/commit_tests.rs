@@ -1,7 +1,7 @@
 //! Commits come back as they were written, and bytes that are no commit are refused.
 
 use super::*;
-use pliant_core::engine::{Handle, HandleScale, Region};
+use pliant_core::engine::{Handle, HandleScale, Region, Stiff};
 use proptest::prelude::*;
 
 fn facts() -> Box<pb::Session> {
@@ -18,11 +18,24 @@ fn facts() -> Box<pb::Session> {
     })
 }
 
+fn handle_set() -> HandleSet {
+    let stiff = Stiff {
+        regions: vec![Region::Component(2)],
+        strength: 1.0 / 3.0,
+        ..Stiff::default()
+    };
+    HandleSet {
+        stiff: Some(stiff),
+        ..HandleSet::from([Handle::new("a", Region::Component(1)).soft(1.0 / 3.0)])
+    }
+}
+
 fn commits() -> Vec<LoggedCommit> {
     let third = 1.0 / 3.0;
     let pose = HandlePose {
         scale: Some(HandleScale::Uniform(third)),
         pivot: Some(DVec3::splat(third)),
+        free_rotation: true,
         ..HandlePose::translation([third, -0.0, 1e-300])
     };
     let poses = HandlePoses(vec![pose, HandlePose::default()].into());
@@ -37,7 +50,7 @@ fn commits() -> Vec<LoggedCommit> {
     vec![
         LoggedCommit::Create { facts: facts() },
         LoggedCommit::Handles {
-            set: HandleSet::from([Handle::new("a", Region::Component(1)).soft(third)]),
+            set: handle_set(),
             poses: poses.clone(),
             facts: facts(),
         },

@@ -115,13 +115,15 @@ def _run(client: Client, task: Task, where: list[str]) -> tuple[str, bytes | Non
     info = calls.create(model.Upload(task.main, task.companions, task.model_format, task.label), options, _untold)
     here = calls.toward(info.id)
     try:
-        if job.handles or job.HasField("symmetry_plane") or job.HasField("region_of_interest"):
+        if job.handles or any(job.HasField(name) for name in ("symmetry_plane", "region_of_interest", "stiff")):
             where[0] = "handles"
             request = pb.SetHandlesRequest(session_id=info.id, handles=job.handles)
             if job.HasField("symmetry_plane"):
                 request.symmetry_plane.CopyFrom(job.symmetry_plane)
             if job.HasField("region_of_interest"):
                 request.region_of_interest.CopyFrom(job.region_of_interest)
+            if job.HasField("stiff"):
+                request.stiff.CopyFrom(job.stiff)
             here.one("SetHandles", request, keyed=True)
         quality = None
         for k, step in enumerate(_steps(job)):

@@ -104,6 +104,23 @@ export async function setAllHandles(wanted: readonly HandleState[]): Promise<voi
   if (done && known.some(({ pose }) => !isAtRest(pose))) await commitPoses(known.map(({ id }) => id));
 }
 
+/** Has the parts that look hard keep their shape, or lets them bend again; the shape follows. */
+export async function keepHardParts(stiff: boolean): Promise<void> {
+  const open = s.doc.peek();
+  const known = s.handles.peek();
+  if (open === undefined) return;
+  if (known.some(({ vertices }) => vertices === undefined)) {
+    s.note("info", "Not changed", "A handle was set elsewhere, and the page does not know its region.");
+    return;
+  }
+  const done = await changing(stiff ? "Hard parts stiff" : "All parts soft", "Nothing was changed", async () => {
+    merge(await open.session.setHandles({ handles: known.map(messageOf), ...(stiff ? { stiff: { auto: true } } : {}) }), known);
+  });
+  if (!done) return;
+  if (stiff && s.facts.peek()?.solver?.stiffParts === 0) s.note("info", "No hard parts", "Nothing of the model looks like one, or handles hold them.");
+  if (known.some(({ pose }) => !isAtRest(pose))) await commitPoses(known.map(({ id }) => id));
+}
+
 /** Sets the pose of a handle from numbers rather than from the gizmo. */
 export async function poseHandle(id: string, pose: HandleState["pose"]): Promise<void> {
   s.handles.value = s.handles.peek().map((handle) => (handle.id === id ? { ...handle, pose } : handle));

@@ -1,6 +1,7 @@
 /** Connects signals and scene: made once, when the canvas is there. */
 
 import { computed, effect, untracked } from "@preact/signals";
+import { type HandlePose, type HandleState, heldPose, movesFreely, turnOf } from "../model/handles.ts";
 import { CuttingPlane } from "../scene/cutting.ts";
 import { Gizmo, type GizmoMode } from "../scene/gizmo.ts";
 import { Markers, placeOf } from "../scene/markers.ts";
@@ -92,11 +93,21 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
     const mode = MODES[s.tool.value];
     const holds = handle !== undefined && handle.hold !== "pin" && mode !== undefined && onScreen.value === undefined;
     if (mode !== undefined) gizmo.setMode(mode, s.settings.value.localAxes, false);
-    gizmo.attach(holds ? handle.pivot : undefined, holds ? handle.pose : undefined);
+    const pose = holds ? untracked(() => posedFor(handle, mode)) : undefined;
+    gizmo.attach(holds ? handle.pivot : undefined, pose, holds && movesFreely(handle, handle.pose) && (mode === "translate" || handle.pose.freely));
   });
   effect(() => view().markers.show(onScreen.value === undefined ? s.handles.value : []));
   effect(() => plane.show(s.cutPlane.value));
   void resumeThisTab();
+}
+
+/** Where a gizmo takes hold of a handle: what has turned automatically is turned on from how it lies. */
+function posedFor({ id, pose, vertices, pivot }: HandleState, mode: GizmoMode): HandlePose {
+  const [open, surface] = [s.doc.peek(), view().stage.surface];
+  const [x, y, z] = s.facts.peek()?.handles.find((handle) => handle.id === id)?.centroid ?? [];
+  if (mode !== "rotate" || !pose.freely || vertices === undefined || open === undefined || surface === undefined) return pose;
+  const turn = turnOf(vertices, open.topology.positions, surface.positions);
+  return heldPose(pose, turn, pivot, [x ?? pivot[0], y ?? pivot[1], z ?? pivot[2]]);
 }
 
 /** What the regions look like; the same as before while only poses change. */

@@ -11,9 +11,11 @@ export interface HandlePose {
   /** Axis times angle; any number of turns. */
   readonly rotation: Vector;
   readonly scale: Vector;
+  /** Whether the server finds the rotation; `rotation` is then where its search begins. */
+  readonly freely: boolean;
 }
 
-export const AT_REST: HandlePose = { translation: [0, 0, 0], rotation: [0, 0, 0], scale: [1, 1, 1] };
+export const AT_REST: HandlePose = { translation: [0, 0, 0], rotation: [0, 0, 0], scale: [1, 1, 1], freely: false };
 
 /** What a handle constrains. */
 export interface Constrains {
@@ -92,10 +94,11 @@ export function entryOf(handle: Pick<HandleState, "id" | "pose" | "pivot">): Pos
   return { id: handle.id, pose: poseMessage(handle) };
 }
 
-/** The pivot is said, because the server's default depends on all handles, and these come and go. */
+/** The pivot is said, because the server's default depends on all handles, and these come and go; what turns freely is held by its middle. */
 function poseMessage({ pose, pivot }: Pick<HandleState, "pose" | "pivot">): NonNullable<PoseEntry["pose"]> {
-  const { translation, rotation, scale } = pose;
-  return { translation: [...translation], rotationVector: [...rotation], scale: [...scale], pivot: [...pivot] };
+  const { translation, rotation, scale, freely } = pose;
+  const turn = freely ? { freeRotation: true } : { pivot: [...pivot] };
+  return { translation: [...translation], rotationVector: [...rotation], scale: [...scale], ...turn };
 }
 
 /**
@@ -119,7 +122,58 @@ export function poseOf(told: schema.HandlePose | undefined, own: Vector, before:
     translation: [translation[0] + away[0] - turned[0], translation[1] + away[1] - turned[1], translation[2] + away[2] - turned[2]],
     rotation,
     scale,
+    freely: told.freeRotation,
   };
+}
+
+/**
+ * A handle dragged to `translation` from `pose`: it turns automatically, unless it was turned by hand or cannot turn.
+ */
+export function movesFreely({ constrains }: Pick<HandleState, "constrains">, pose: HandlePose): boolean {
+  return constrains.position && constrains.rotation && (pose.freely || pose.rotation.every((x) => x === 0));
+}
+
+/** A pose of a handle that has turned freely by `turn` about its middle, about its pivot instead. */
+export function heldPose(pose: HandlePose, turn: Vector, pivot: Vector, middle: Vector): HandlePose {
+  const away: Vector = [pivot[0] - middle[0], pivot[1] - middle[1], pivot[2] - middle[2]];
+  const turned = rotated(quaternionOf(turn), away);
+  const [x, y, z] = pose.translation;
+  return { ...pose, rotation: turn, translation: [x + turned[0] - away[0], y + turned[1] - away[1], z + turned[2] - away[2]] };
+}
+
+/** How the vertices of a region are turned, axis times angle: the rotation that fits best (Horn 1987, by power iterations). */
+export function turnOf(vertices: Uint32Array, rest: ArrayLike<number>, now: ArrayLike<number>): Vector {
+  const mean = (points: ArrayLike<number>): number[] => {
+    const sum = [0, 0, 0];
+    for (const v of vertices) for (let c = 0; c < 3; c++) sum[c] = (sum[c] as number) + (points[3 * v + c] as number) / vertices.length;
+    return sum;
+  };
+  const [from, to] = [mean(rest), mean(now)];
+  const m = new Float64Array(9);
+  for (const v of vertices) {
+    for (let a = 0; a < 3; a++) {
+      for (let b = 0; b < 3; b++) {
+        const before = (rest[3 * v + a] as number) - (from[a] as number);
+        m[3 * a + b] = (m[3 * a + b] as number) + before * ((now[3 * v + b] as number) - (to[b] as number));
+      }
+    }
+  }
+  const [xx, xy, xz, yx, yy, yz, zx, zy, zz] = m as unknown as [number, number, number, number, number, number, number, number, number];
+  const n = [
+    [xx - yy - zz, xy + yx, xz + zx, yz - zy],
+    [xy + yx, yy - xx - zz, yz + zy, zx - xz],
+    [xz + zx, yz + zy, zz - xx - yy, xy - yx],
+    [yz - zy, zx - xz, xy - yx, xx + yy + zz],
+  ];
+  // Shifted so that the largest eigenvalue is the largest in magnitude.
+  const shift = Math.hypot(...m) * 2;
+  let q: Quaternion = [0, 0, 0, 1];
+  for (let k = 0; k < 200 && shift > 0; k++) {
+    const next = n.map((row, i) => row.reduce((sum, x, j) => sum + x * (q[j] as number), shift * (q[i] as number)));
+    const length = Math.hypot(...next);
+    q = next.map((x) => x / length) as unknown as Quaternion;
+  }
+  return nearestRotationVector(q, AT_REST.rotation);
 }
 
 function vectorOf(numbers: readonly number[], otherwise: Vector): Vector {
@@ -178,6 +232,6 @@ export function heldAfter(vertices: Uint32Array, runs: readonly schema.EditResul
 }
 
 /** Whether a pose is none. */
-export function isAtRest({ translation, rotation, scale }: HandlePose): boolean {
-  return [...translation, ...rotation].every((x) => x === 0) && scale.every((x) => x === 1);
+export function isAtRest({ translation, rotation, scale, freely }: HandlePose): boolean {
+  return !freely && [...translation, ...rotation].every((x) => x === 0) && scale.every((x) => x === 1);
 }

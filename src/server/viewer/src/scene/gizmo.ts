@@ -30,6 +30,9 @@ export class Gizmo {
   private readonly grip = new THREE.Object3D();
   private pivot: Vector = [0, 0, 0];
   private rotation: Vector = [0, 0, 0];
+  private mode: GizmoMode = "translate";
+  /** Whether a handle that is moved turns automatically. */
+  private freely = false;
   private attached = false;
   /** The pose at which the drag began that is under way. */
   private began: HandlePose | undefined;
@@ -84,13 +87,14 @@ export class Gizmo {
     return this.controls.axis;
   }
 
-  /** Places it on a handle; without one it hides. */
-  attach(pivot: Vector | undefined, pose: HandlePose | undefined): void {
+  /** Places it on a handle, which turns automatically when it is moved if it does so `freely`; without one it hides. */
+  attach(pivot: Vector | undefined, pose: HandlePose | undefined, freely = false): void {
     this.attached = pivot !== undefined && pose !== undefined;
     if (pivot === undefined || pose === undefined) {
       this.controls.detach();
     } else if (!this.controls.dragging) {
       this.pivot = pivot;
+      this.freely = freely;
       this.rotation = pose.rotation;
       this.grip.position.set(...add(pivot, pose.translation));
       this.grip.quaternion.set(...(quaternionOf(pose.rotation) as [number, number, number, number]));
@@ -101,6 +105,7 @@ export class Gizmo {
   }
 
   setMode(mode: GizmoMode, localAxes: boolean, snap: boolean): void {
+    this.mode = mode;
     this.controls.setMode(mode);
     this.controls.setSpace(localAxes ? "local" : "world");
     this.controls.setRotationSnap(snap ? Math.PI / 12 : null);
@@ -130,6 +135,7 @@ export class Gizmo {
       translation: [x - this.pivot[0], y - this.pivot[1], z - this.pivot[2]],
       rotation: this.rotation,
       scale: [scale.x, scale.y, scale.z],
+      freely: this.freely && this.mode !== "rotate",
     };
   }
 }

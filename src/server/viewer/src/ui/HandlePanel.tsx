@@ -2,7 +2,7 @@
 
 import type { Vector } from "pliant-client";
 import type { JSX } from "preact";
-import { changeHandle, poseHandle, removeHandle } from "../app/handling.ts";
+import { changeHandle, keepHardParts, poseHandle, removeHandle } from "../app/handling.ts";
 import * as s from "../app/signals.ts";
 import { activate } from "../app/tools.ts";
 import { AT_REST, type HandleState, colourOf, isAtRest } from "../model/handles.ts";
@@ -23,6 +23,13 @@ export function HandlePanel(): JSX.Element {
         ))}
       </ul>
       {active && <Details handle={active} />}
+      {list.length > 0 && (s.doc.value?.report.parts.length ?? 0) > 1 && (
+        <Check
+          label="hard parts stay rigid"
+          checked={(s.facts.value?.solver?.stiffParts ?? 0) > 0}
+          onValue={(stiff) => void keepHardParts(stiff)}
+        />
+      )}
     </Section>
   );
 }
@@ -112,7 +119,7 @@ function Details({ handle }: { handle: HandleState }): JSX.Element {
 const AXES = ["X", "Y", "Z"] as const;
 const DEGREES = 180 / Math.PI;
 
-function Pose({ handle: { id, pose } }: { handle: HandleState }): JSX.Element {
+function Pose({ handle: { id, pose, constrains } }: { handle: HandleState }): JSX.Element {
   const set = (part: Partial<HandleState["pose"]>): void => void poseHandle(id, { ...pose, ...part });
   const row = (name: string, values: Vector, step: number, digits: number, min: number | undefined, onVector: (next: Vector) => void): JSX.Element => (
     <div class="vector" role="group" aria-label={name}>
@@ -139,7 +146,13 @@ function Pose({ handle: { id, pose } }: { handle: HandleState }): JSX.Element {
   return (
     <>
       {row("Move", pose.translation, Number((size / 100).toPrecision(1)), 4, undefined, (translation) => set({ translation }))}
-      {row("Turn °", scaled(pose.rotation, DEGREES), 5, 1, undefined, (degrees) => set({ rotation: scaled(degrees, 1 / DEGREES) }))}
+      {row("Turn °", scaled(pose.rotation, DEGREES), 5, 1, undefined, (degrees) => set({ rotation: scaled(degrees, 1 / DEGREES), freely: false }))}
+      <Check
+        label="turns automatically"
+        checked={pose.freely}
+        disabled={!constrains.position || !constrains.rotation}
+        onValue={(freely) => set({ freely })}
+      />
       {row("Scale", pose.scale, 0.05, 3, 0.01, (scale) => set({ scale }))}
       <div class="row">
         <span class="hint">

@@ -1,0 +1,93 @@
+//! Steps towards the turns at which torques are zero, from the differences that earlier steps have made (Anderson 1965).
+
+use glam::DVec3;
+
+/// The longest step, radians: a turn is followed, not jumped to.
+const LONGEST_STEP: f64 = 1.0;
+/// How much further than the surest step one goes where nothing is known of a direction, at most.
+const FARTHEST: f64 = 64.0;
+/// How many differences of torques are remembered.
+const REMEMBERED: usize = 6;
+/// A difference that is this much one of newer ones adds nothing.
+const LEAST_NEW: f64 = 1e-2;
+/// What steps towards turns have shown so far: changes of turns with the changes of torques that came of them, the newest last.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct TurnSteps {
+    /// The holds whose turns they are.
+    holds: Vec<usize>,
+    steps: Vec<(Vec<DVec3>, Vec<DVec3>)>,
+}
+
+impl TurnSteps {
+    /// Begins with these holds; what is known of others is forgotten.
+    pub(super) fn begin(&mut self, holds: &[usize]) {
+        if self.holds != holds {
+            self.steps.clear();
+            self.holds = holds.to_vec();
+        }
+    }
+
+    /// Keeps what a step has changed of the torques.
+    pub(super) fn remember(&mut self, turned: Vec<DVec3>, changed: Vec<DVec3>) {
+        if self.steps.len() == REMEMBERED {
+            self.steps.remove(0);
+        }
+        self.steps.push((turned, changed));
+    }
+
+    /// The step that ends a torque as far as is known, and follows what is left of it elsewhere.
+    pub(super) fn step(&self, torque: &[DVec3]) -> Vec<DVec3> {
+        let mut left = torque.to_vec();
+        let mut step = vec![DVec3::ZERO; left.len()];
+        let mut known: Vec<(Vec<DVec3>, Vec<DVec3>)> = Vec::new();
+        for (turned, changed) in self.steps.iter().rev() {
+            let (mut turned, mut changed) = (turned.clone(), changed.clone());
+            let before = length(&changed);
+            for (other, unit) in &known {
+                let along = dot(&changed, unit);
+                add(&mut changed, unit, -along);
+                add(&mut turned, other, -along);
+            }
+            let size = length(&changed);
+            if size <= LEAST_NEW * before || size == 0.0 {
+                continue;
+            }
+            let scale = |all: &mut Vec<DVec3>| all.iter_mut().for_each(|v| *v /= size);
+            scale(&mut turned);
+            scale(&mut changed);
+            let along = dot(&left, &changed);
+            add(&mut left, &changed, -along);
+            add(&mut step, &turned, -along);
+            known.push((turned, changed));
+        }
+        // Turns resist far less than with all around them held, and all about as much.
+        let easier = known.iter().map(|(turned, _)| length(turned)).fold(1.0, f64::max);
+        add(&mut step, &left, -easier.min(FARTHEST));
+        let longest = step.iter().map(|s| s.length()).fold(0.0, f64::max);
+        if longest > LONGEST_STEP {
+            step.iter_mut().for_each(|s| *s *= LONGEST_STEP / longest);
+        }
+        step
+    }
+
+    pub(crate) fn clear(&mut self) {
+        self.steps.clear();
+    }
+
+    pub(crate) fn byte_size(&self) -> usize {
+        let of_pair = |pair: &(Vec<DVec3>, Vec<DVec3>)| pair.0.capacity() + pair.1.capacity();
+        self.steps.iter().map(of_pair).sum::<usize>() * size_of::<DVec3>()
+    }
+}
+
+fn dot(a: &[DVec3], b: &[DVec3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a.dot(*b)).sum()
+}
+
+fn length(a: &[DVec3]) -> f64 {
+    dot(a, a).sqrt()
+}
+
+fn add(to: &mut [DVec3], what: &[DVec3], times: f64) {
+    to.iter_mut().zip(what).for_each(|(to, what)| *to += *what * times);
+}

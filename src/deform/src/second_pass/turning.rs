@@ -1,0 +1,212 @@
+//! Handles whose rotation is not given: their place is, and the turn is found that leaves the least energy.
+//!
+//! The energy of a pose is Σ w |x_i − x_j − ½ (M_i + M_j)(p_i − p_j)|² over edges, with positions solved for. A handle's turn
+//! moves its own nodes about its pivot, and turns every node's M by the node's share of it. What the energy loses by that is a
+//! torque, and the turn is right where it is zero: a bar whose end is dragged aside then bends as an arc. Each torque costs one solve
+//! from the last solution; steps come of the differences of earlier ones (Anderson 1965), so that a few suffice.
+
+use crate::body::DeformableBody;
+use crate::error::Error;
+use crate::handles::system::HandleSystem;
+use crate::pose::{FirstPass, FitOrder, PoseRequest, Quality, SolutionExtent, SolveStart, SolvedNodes};
+use crate::rotation::Transform;
+use crate::second_pass::state::SolveState;
+use glam::{DMat3, DVec3, Mat3};
+use pliant_exec::Exec;
+use pliant_exec::pool::Pool;
+use rayon::prelude::*;
+
+/// Steps at most where a pose is solved from nothing, and for one frame of a drag.
+const MOST_STEPS: usize = 24;
+const MOST_STEPS_OF_DRAG: usize = 2;
+/// Steps shorter than this, radians, are not worth another solve, likewise.
+const NEAR_ENOUGH: f64 = 2e-4;
+const NEAR_ENOUGH_OF_DRAG: f64 = 4e-3;
+/// Nodes that one piece of work handles.
+const PIECE: usize = 4096;
+
+impl HandleSystem {
+    /// The transforms of a pose with the rotations found of those holds that `free` names; the rotations of `request` are where the
+    /// search begins, and where it goes on in a warm solve those of the solve before. As many solves as steps; a warm one leaves `state`
+    /// with the last of them.
+    ///
+    /// # Errors
+    /// [`Error::Solver`], [`Error::Cancelled`]. `state` stays usable after either.
+    pub fn find_turns(
+        &self,
+        body: &DeformableBody,
+        request: &PoseRequest<'_>,
+        free: &[usize],
+        state: &mut SolveState,
+        exec: &Exec<'_>,
+    ) -> Result<Vec<Transform>, Error> {
+        let mut transforms = request.transforms.to_vec();
+        let warm = request.start == SolveStart::Warm;
+        let free: Vec<usize> = free.iter().copied().filter(|&k| self.is_turnable(k)).collect();
+        if free.is_empty() || !self.moved_parts(body, &transforms).contains(&true) {
+            return Ok(transforms);
+        }
+        if warm && state.transforms.len() == transforms.len() {
+            free.iter()
+                .for_each(|&k| transforms[k].rotation = state.transforms[k].rotation);
+        }
+        // A pose that is solved from nothing does not depend on what was solved before it.
+        let mut own = SolveState::default();
+        let state = if warm { state } else { &mut own };
+        state.turning.begin(&free);
+        let (most, near) = match warm {
+            true => (MOST_STEPS_OF_DRAG, NEAR_ENOUGH_OF_DRAG),
+            false => (MOST_STEPS, NEAR_ENOUGH),
+        };
+        let mut last: Option<(Vec<DVec3>, Vec<DVec3>)> = None;
+        for count in 0..most {
+            let start = if warm || count > 0 {
+                SolveStart::Warm
+            } else {
+                SolveStart::Fresh
+            };
+            let search = search_request(&transforms, request, start);
+            let solved = self.solve(body, &search, state, exec, &mut |_| true)?;
+            let torque = self.torques(body, &transforms, &solved, &free, exec.pool);
+            state.recycle(solved.positions, solved.frames);
+            if let Some((step, before)) = last.take() {
+                let changed = torque.iter().zip(&before).map(|(now, before)| *now - *before);
+                state.turning.remember(step, changed.collect());
+            }
+            let step = state.turning.step(&torque);
+            let longest = step.iter().map(|s| s.length()).fold(0.0, f64::max);
+            if !longest.is_finite() {
+                return Err(Error::Solver("a turn left the range of numbers".into()));
+            }
+            for (&k, step) in free.iter().zip(&step) {
+                transforms[k].rotation += *step;
+            }
+            if longest < near {
+                break;
+            }
+            last = Some((step, torque));
+        }
+        Ok(transforms)
+    }
+
+    /// Whether a turn of a hold changes anything but all of it alike.
+    fn is_turnable(&self, hold: usize) -> bool {
+        !self.rotation_fields.of(hold).is_empty()
+    }
+
+    /// By free hold: the torque on it, as the turn that would end it if nothing around gave way.
+    fn torques(
+        &self,
+        body: &DeformableBody,
+        transforms: &[Transform],
+        solved: &SolvedNodes,
+        free: &[usize],
+        pool: &Pool,
+    ) -> Vec<DVec3> {
+        if solved.frames.len() != body.nodes() {
+            return vec![DVec3::ZERO; free.len()];
+        }
+        let nodes = EdgeTorques { body, solved };
+        let pieces = body.nodes().div_ceil(PIECE);
+        let of_hold = |&hold: &usize| {
+            let field = self.blending_fields.as_ref().unwrap_or(&self.rotation_fields).of(hold);
+            let place = body.solving_from_model(transforms[hold].pivot + transforms[hold].translation);
+            let is_held = |node: usize| self.position.hard[node] == hold as u32;
+            let of_piece = |piece: usize| {
+                let mut sum = (DVec3::ZERO, 0.0);
+                for node in piece * PIECE..((piece + 1) * PIECE).min(body.nodes()) {
+                    if field[node] > 0.0 {
+                        nodes.add_turn(node, f64::from(field[node]), &mut sum);
+                    }
+                    if is_held(node) {
+                        nodes.add_force(node, place, &is_held, &mut sum);
+                    }
+                }
+                sum
+            };
+            // Pieces are summed in their order, for any number of threads.
+            let sums: Vec<(DVec3, f64)> = pool.install(|| (0..pieces).into_par_iter().map(of_piece).collect());
+            let (mut torque, mut resistance) = sums
+                .into_iter()
+                .fold((DVec3::ZERO, 0.0), |(t, r), (torque, by)| (t + torque, r + by));
+            let map = transforms[hold].map();
+            for &(node, _, stiffness) in self.position.soft.iter().filter(|pull| pull.1 == hold as u32) {
+                let target = body.solving_from_model(map(body.graph.positions[node as usize]));
+                let arm = target - place;
+                torque += arm.cross(target - nodes.at(node as usize)) * stiffness;
+                resistance += stiffness * arm.length_squared();
+            }
+            if resistance > 0.0 {
+                torque / resistance
+            } else {
+                DVec3::ZERO
+            }
+        };
+        free.iter().map(of_hold).collect()
+    }
+}
+
+/// A request for the shape that a torque is taken from.
+fn search_request<'a>(transforms: &'a [Transform], wanted: &PoseRequest<'_>, start: SolveStart) -> PoseRequest<'a> {
+    PoseRequest {
+        transforms,
+        quality: Quality {
+            refine: Some(0),
+            ..wanted.quality
+        },
+        start,
+        first_pass: FirstPass::Harmonic,
+        fits: FitOrder::GraphAlone,
+        extent: SolutionExtent::Graph,
+    }
+}
+
+/// Torques of edges in a solution, each with how much it resists.
+struct EdgeTorques<'a> {
+    body: &'a DeformableBody,
+    solved: &'a SolvedNodes,
+}
+
+impl EdgeTorques<'_> {
+    fn at(&self, node: usize) -> DVec3 {
+        self.body.solving_from_model(self.solved.positions[node])
+    }
+
+    fn frame(&self, node: usize) -> DMat3 {
+        Mat3::from_cols_array(&self.solved.frames[node]).as_dmat3()
+    }
+
+    /// An edge of a node's as the frames of its ends would have it, and what it lacks of that.
+    fn edge(&self, node: usize, other: usize) -> (DVec3, DVec3) {
+        let edge = self.body.rest(node) - self.body.rest(other);
+        let own = self.frame(node) * edge;
+        (
+            own,
+            self.at(node) - self.at(other) - (own + self.frame(other) * edge) * 0.5,
+        )
+    }
+
+    /// Adds the torque on a node's rotation, which follows by a share.
+    fn add_turn(&self, node: usize, share: f64, (torque, resistance): &mut (DVec3, f64)) {
+        for (other, weight) in self.body.edges(node) {
+            let (own, missing) = self.edge(node, other);
+            *torque -= own.cross(missing) * (0.5 * weight * share);
+            *resistance += 0.25 * weight * own.length_squared() * share * share;
+        }
+    }
+
+    /// Adds the torque of a held node's edges on its position about a place.
+    fn add_force(
+        &self,
+        node: usize,
+        place: DVec3,
+        is_held: &impl Fn(usize) -> bool,
+        (torque, resistance): &mut (DVec3, f64),
+    ) {
+        let arm = self.at(node) - place;
+        for (other, weight) in self.body.edges(node).filter(|(other, _)| !is_held(*other)) {
+            *torque += arm.cross(self.edge(node, other).1) * weight;
+            *resistance += weight * arm.length_squared();
+        }
+    }
+}
