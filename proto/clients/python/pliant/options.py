@@ -85,6 +85,8 @@ class VolumeGraph(TypedDict, total=False):
     valence: Literal[8, 14]
     #: Depth of the copies of vertices in model units.
     shell_offset: float
+    #: What edges inside weigh relative to the default, 1e-3 to 1e3.
+    stiffness: float
 
 
 class KeepApart(TypedDict, total=False):
@@ -206,7 +208,7 @@ def _volume_graph(fields: VolumeGraph, message: pb.CreateOptions.VolumeGraph) ->
             message.mode = enum(name, pb.CreateOptions.VolumeGraph.Mode, value)
         elif name == "kind":
             message.kind = enum(name, pb.CreateOptions.VolumeGraph.Kind, value)
-        elif name in ("interval", "valence", "shell_offset"):
+        elif name in ("interval", "valence", "shell_offset", "stiffness"):
             put(message, name, value)
         else:
-            raise TypeError(f"volume_graph: {name}: allowed are mode, kind, interval, valence and shell_offset")
+            raise TypeError(f"volume_graph: {name}: allowed are mode, kind, interval, valence, shell_offset and stiffness")
