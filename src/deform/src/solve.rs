@@ -12,6 +12,7 @@ use crate::second_pass::equations::{PosedHandles, Precision};
 use crate::second_pass::refine::RotationFit;
 use crate::second_pass::single_precision::frames_of;
 use crate::second_pass::state::SolveState;
+use crate::second_pass::volume::VolumeScales;
 use glam::{DMat3, DVec3};
 use pliant_exec::Exec;
 use pliant_exec::pool::Pool;
@@ -152,6 +153,10 @@ impl PoseSolve<'_> {
             Some(solved) => solved?,
             None => self.fit_in_turn(fit.as_ref(), posed, state, &mut tally)?,
         };
+        state.volume = VolumeScales::default();
+        if let Some(fit) = fit.as_ref().filter(|_| self.keeps_volume()) {
+            stats = self.keep_volume(fit, posed, state, &mut tally)?.unwrap_or(stats);
+        }
         if let Some(rigid) = &handles.rigid {
             handles.make_regions_rigid(body, request.transforms, &mut posed.frames, &mut state.x);
             self.assemble(posed, state);
@@ -249,7 +254,7 @@ impl PoseSolve<'_> {
     }
 
     /// Fills the right-hand side for `posed`.
-    fn assemble(&self, posed: &PosedHandles, state: &mut SolveState) {
+    pub(crate) fn assemble(&self, posed: &PosedHandles, state: &mut SolveState) {
         self.exec.progress.begin_pass("equations");
         let transforms = self.request.transforms;
         state.rhs.resize(3 * self.body.nodes(), 0.0);
@@ -257,7 +262,7 @@ impl PoseSolve<'_> {
     }
 
     /// Solves the equations in `state`: to what the request asks for, or only to the error `rough`.
-    fn run(
+    pub(crate) fn run(
         &self,
         constrained: &ConstrainedSystem,
         start: pliant_solver::InitialGuess<'_>,

@@ -31,6 +31,8 @@ class SolveFields(TypedDict, total=False):
     method: Literal["graph", "spatial_rbf"]
     #: Weight of rotation smoothing in re-fits.
     rotation_smoothing: float
+    #: Whether a commit with re-fits gives back the volume that twists and pulls would lose.
+    volume: Literal["keep", "free"]
     #: Frames also carry normals.
     normals: bool
     #: Frames also carry tangents.
@@ -64,6 +66,8 @@ def options(fields: SolveFields) -> pb.Options:
             message.output.encoding = enum(name, pb.Frame.Encoding, value)
         elif name == "first_pass":
             message.first_pass = enum(name, pb.Options.FirstPass, value)
+        elif name == "volume":
+            message.volume = enum(name, pb.Options.Volume, value)
         elif name == "method":
             message.method = enum(name, pb.Options.Method, value)
         else:

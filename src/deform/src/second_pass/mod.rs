@@ -6,6 +6,7 @@ pub(super) mod equations;
 pub(super) mod refine;
 pub(super) mod single_precision;
 pub(super) mod state;
+pub(super) mod volume;
 
 pub use equations::SecondPassEquations;
 pub use state::SolveState;

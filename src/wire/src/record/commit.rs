@@ -251,6 +251,7 @@ fn settings_message(settings: &SolveSettings) -> SettingsMessage {
         .into(),
         spatial_rbf: *method == Method::SpatialRbf,
         coarse_first: *fits == FitOrder::CoarseFirst,
+        keeps_volume: quality.keeps_volume,
     }
 }
 
@@ -271,6 +272,7 @@ fn recorded_settings(message: &SettingsMessage) -> Result<SolveSettings, Error> 
         quality: Quality {
             tolerance: message.tolerance,
             max_error: message.max_error,
+            keeps_volume: message.keeps_volume,
             ..checked.solve.quality
         },
         method: checked.solve.method,

@@ -107,6 +107,9 @@ pub(super) struct SettingsMessage {
     /// Absent in records of the time when all fits were on the graph alone.
     #[prost(bool, tag = "7")]
     pub coarse_first: bool,
+    /// Absent in records of the time when volume was not kept.
+    #[prost(bool, tag = "9")]
+    pub keeps_volume: bool,
 }
 
 /// The frame that answered a pose, but for its vertices.

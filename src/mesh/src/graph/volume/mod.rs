@@ -88,7 +88,10 @@ impl VolumeOptions {
         Error::check_length("shell offset", self.shell_offset)?;
         if !(1e-3..=1e3).contains(&self.stiffness) {
             let seen = self.stiffness;
-            return Err(Error::invalid("stiffness", format!("is {seen}, allowed are 1e-3 to 1e3")));
+            return Err(Error::invalid(
+                "stiffness",
+                format!("is {seen}, allowed are 1e-3 to 1e3"),
+            ));
         }
         match self.valence {
             8 | 14 => Ok(()),
