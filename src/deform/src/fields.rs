@@ -71,6 +71,11 @@ impl HarmonicFields {
         falls.mean().map(|joint| origin + joint)
     }
 
+    /// The fields of all holds; empty ones have no say.
+    pub fn all(&self) -> &[Vec<f32>] {
+        &self.fields
+    }
+
     /// Bytes held on the heap.
     pub fn byte_size(&self) -> usize {
         self.fields.iter().map(|f| f.capacity() * 4).sum::<usize>() + self.covered.capacity()

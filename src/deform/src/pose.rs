@@ -24,6 +24,9 @@ pub struct Quality {
     pub refine: Option<u32>,
     /// What the mean rotation of a node's neighbours weighs in such a fit, relative to its own edges. 0: nothing.
     pub smoothing: f64,
+    /// Whether poses that are solved from nothing and fitted keep the volume of the model, scaled as the handles are: what a twist
+    /// or a pull would lose is given back across its sections. Without interior nodes nothing is kept.
+    pub keeps_volume: bool,
 }
 
 impl Quality {
@@ -33,6 +36,7 @@ impl Quality {
         max_error: None,
         refine: None,
         smoothing: 0.0,
+        keeps_volume: true,
     };
 }
 

@@ -12,6 +12,7 @@ use crate::second_pass::equations::{PosedHandles, Precision};
 use crate::second_pass::refine::RotationFit;
 use crate::second_pass::single_precision::frames_of;
 use crate::second_pass::state::SolveState;
+use crate::second_pass::volume::VolumeScales;
 use glam::{DMat3, DVec3};
 use pliant_exec::Exec;
 use pliant_exec::pool::Pool;
@@ -142,7 +143,7 @@ impl PoseSolve<'_> {
         };
         let coarse = fit.as_ref().filter(|fit| self.may_begin_coarse(first, fit));
         let coarse = coarse.map(|fit| self.fit_coarse_first(fit, posed, state, &mut tally));
-        let stats = match coarse {
+        let mut stats = match coarse {
             Some(Err(Error::Solver(_))) => {
                 // Poses beyond the range of single precision.
                 state.forget();
@@ -152,6 +153,12 @@ impl PoseSolve<'_> {
             Some(solved) => solved?,
             None => self.fit_in_turn(fit.as_ref(), posed, state, &mut tally)?,
         };
+        if let Some(fit) = &fit {
+            state.volume = VolumeScales::default();
+            if self.keeps_volume() {
+                stats = self.keep_volume(fit, posed, state, &mut tally)?.unwrap_or(stats);
+            }
+        }
         if !handles.stiff.is_empty() {
             self.stiffen(fit.as_ref(), posed, state)?;
         }

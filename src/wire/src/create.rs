@@ -10,7 +10,7 @@ use pliant_asset::Format;
 use pliant_core::engine::{KeptApart, OpenOptions};
 use pliant_deform::{BodyOptions, CoarseOperators, EdgeWeights, FreePartPolicy, TieOptions, VolumeMode};
 use pliant_mesh::Weld;
-use pliant_mesh::graph::VolumeOptions;
+use pliant_mesh::graph::{InteriorKind, VolumeOptions};
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
@@ -159,6 +159,18 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
             ));
         }
     };
+    let stiffness = match volume.stiffness {
+        0.0 => 1.0,
+        _ if of_kind.kind == InteriorKind::Paper => {
+            let problem = "is given, it belongs to kind SHAPE: edges of the paper's graph all weigh the same";
+            return Err(Error::invalid("volumeGraph.stiffness", problem));
+        }
+        v if (1e-3..=1e3).contains(&v) => v,
+        v => {
+            let problem = format!("is {v}, allowed are 1e-3 to 1e3, or 0 for 1");
+            return Err(Error::invalid("volumeGraph.stiffness", problem));
+        }
+    };
     let ties = match enumerated(create.parts, "parts")? {
         pb::create_options::Parts::Tied => Some(TieOptions {
             distance: length(create.tie_distance, "tieDistance")?,
@@ -174,6 +186,7 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
         valence,
         shell_offset: length(volume.shell_offset, "volumeGraph.shellOffset")?,
         weights,
+        stiffness,
         ..of_kind
     };
     Ok(OpenOptions {

@@ -50,6 +50,7 @@ impl DeformOptions {
         }
         let first_pass: pb::options::FirstPass = enumerated(options.first_pass, &at("firstPass"))?;
         let method: pb::options::Method = enumerated(options.method, &at("method"))?;
+        let volume: pb::options::Volume = enumerated(options.volume, &at("volume"))?;
         if let Some(seen) = options.refine.filter(|n| *n > MOST_REFINE) {
             return Err(Error::invalid(
                 at("refine"),
@@ -85,6 +86,7 @@ impl DeformOptions {
             max_error,
             refine: options.refine,
             smoothing: options.rotation_smoothing,
+            keeps_volume: volume == pb::options::Volume::Keep,
         };
         let method = match (method, first_pass) {
             (pb::options::Method::SpatialRbf, _) => Method::SpatialRbf,

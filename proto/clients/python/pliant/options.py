@@ -31,6 +31,8 @@ class SolveFields(TypedDict, total=False):
     method: Literal["graph", "spatial_rbf"]
     #: Weight of rotation smoothing in re-fits.
     rotation_smoothing: float
+    #: Whether a commit with re-fits gives back the volume that twists and pulls would lose.
+    volume: Literal["keep", "free"]
     #: Frames also carry normals.
     normals: bool
     #: Frames also carry tangents.
@@ -64,6 +66,8 @@ def options(fields: SolveFields) -> pb.Options:
             message.output.encoding = enum(name, pb.Frame.Encoding, value)
         elif name == "first_pass":
             message.first_pass = enum(name, pb.Options.FirstPass, value)
+        elif name == "volume":
+            message.volume = enum(name, pb.Options.Volume, value)
         elif name == "method":
             message.method = enum(name, pb.Options.Method, value)
         else:
@@ -85,6 +89,8 @@ class VolumeGraph(TypedDict, total=False):
     valence: Literal[8, 14]
     #: Depth of the copies of vertices in model units.
     shell_offset: float
+    #: What edges inside weigh relative to the default, 1e-3 to 1e3.
+    stiffness: float
 
 
 class KeepApart(TypedDict, total=False):
@@ -206,7 +212,7 @@ def _volume_graph(fields: VolumeGraph, message: pb.CreateOptions.VolumeGraph) ->
             message.mode = enum(name, pb.CreateOptions.VolumeGraph.Mode, value)
         elif name == "kind":
             message.kind = enum(name, pb.CreateOptions.VolumeGraph.Kind, value)
-        elif name in ("interval", "valence", "shell_offset"):
+        elif name in ("interval", "valence", "shell_offset", "stiffness"):
             put(message, name, value)
         else:
-            raise TypeError(f"volume_graph: {name}: allowed are mode, kind, interval, valence and shell_offset")
+            raise TypeError(f"volume_graph: {name}: allowed are mode, kind, interval, valence, shell_offset and stiffness")

@@ -116,6 +116,7 @@ pub(super) const EDITED_AT_REST: SolveSettings = SolveSettings {
         max_error: None,
         refine: None,
         smoothing: 0.0,
+        keeps_volume: false,
     },
     method: Method::Harmonic,
     fits: FitOrder::GraphAlone,

@@ -227,6 +227,7 @@ fn pose_request<'a>(
         transforms,
         quality: Quality {
             refine: settings.quality.refine.or(Some(refine)),
+            keeps_volume: settings.quality.keeps_volume && mode == SolveMode::Commit,
             ..settings.quality
         },
         start,

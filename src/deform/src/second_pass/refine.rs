@@ -133,6 +133,11 @@ impl<'a> RotationFit<'a> {
         })
     }
 
+    /// What the volume around a node is to be of the one at rest: that of the handles' scales.
+    pub fn wanted_volume(&self, node: usize) -> f64 {
+        self.blend.scale(node).map_or(1.0, |scale| scale.determinant())
+    }
+
     /// One fit of all open nodes to `x` (solving coordinates, three numbers a node, any origin).
     pub fn step(&self, turns: &[LocalRotation], x: &[f64], pool: &Pool) -> Vec<LocalRotation> {
         if let Some(quick) = &self.quick {

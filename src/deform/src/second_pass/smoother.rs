@@ -84,7 +84,8 @@ impl HandleSystem {
                 fit.extra(&exec.pool.map(body.nodes(), 1024, between), exec.pool)
             }
         };
-        let frames = fit.frames(&fit.resume(&added, exec.pool), exec.pool);
+        let mut frames = fit.frames(&fit.resume(&added, exec.pool), exec.pool);
+        (state.volume).apply(&self.rotation_fields, &mut frames, exec.pool, |node| fit.is_open(node));
         let mut posed = self.pose_handles(body, request.transforms, frames, Precision::Double, exec.pool);
         let mut tally = SolveTally {
             iterations: 0,

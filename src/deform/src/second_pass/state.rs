@@ -8,6 +8,7 @@ use crate::handles::ownership::UNHELD;
 use crate::handles::system::HandleSystem;
 use crate::rotation::Transform;
 use crate::second_pass::turn_steps::TurnSteps;
+use crate::second_pass::volume::VolumeScales;
 use glam::DVec3;
 use pliant_exec::pool::Pool;
 use pliant_solver::{PoseRows, Workspace};
@@ -23,6 +24,8 @@ pub struct SolveState {
     pub(crate) extra: Vec<LocalRotation>,
     pub(crate) rhs: Vec<f64>,
     pub(crate) workspace: Workspace,
+    /// The scales that keep the volume in the last pose that was fitted.
+    pub(crate) volume: VolumeScales,
     /// The last solution in the order of the solver's rows, where a drag keeps it.
     pub(crate) rows: DragRows,
     /// Memory for the positions and frames of the next pose of a drag.
@@ -36,6 +39,7 @@ impl SolveState {
     pub fn byte_size(&self) -> usize {
         (self.x.capacity() + self.rhs.capacity()) * 8
             + self.extra.capacity() * 16
+            + self.volume.byte_size()
             + self.spare.0.capacity() * size_of::<DVec3>()
             + self.spare.1.capacity() * size_of::<LocalFrame>()
             + self.workspace.byte_size()

@@ -257,6 +257,7 @@ fn settings_message(settings: &SolveSettings) -> SettingsMessage {
         spatial_rbf: *method == Method::SpatialRbf,
         coarse_first: *fits == FitOrder::CoarseFirst,
         unbuckles: *unbuckles,
+        keeps_volume: quality.keeps_volume,
     }
 }
 
@@ -277,6 +278,7 @@ fn recorded_settings(message: &SettingsMessage) -> Result<SolveSettings, Error> 
         quality: Quality {
             tolerance: message.tolerance,
             max_error: message.max_error,
+            keeps_volume: message.keeps_volume,
             ..checked.solve.quality
         },
         method: checked.solve.method,

@@ -62,6 +62,7 @@ fn commits() -> Vec<LoggedCommit> {
                     max_error: Some(third),
                     refine: Some(0),
                     smoothing: third,
+                    keeps_volume: false,
                 },
                 method: Method::Diffusion,
                 fits: FitOrder::GraphAlone,

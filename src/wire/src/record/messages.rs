@@ -110,6 +110,9 @@ pub(super) struct SettingsMessage {
     /// Absent in records of the time when fits were taken as they came.
     #[prost(bool, tag = "8")]
     pub unbuckles: bool,
+    /// Absent in records of the time when volume was not kept.
+    #[prost(bool, tag = "9")]
+    pub keeps_volume: bool,
 }
 
 /// The frame that answered a pose, but for its vertices.

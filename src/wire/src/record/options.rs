@@ -109,6 +109,7 @@ mod tests {
             r#"{"format": "glb", "weld": {"tolerance": 0.25}, "components": "HOLD", "parts": "SEPARATE"}"#,
             r#"{"components": "FREE", "weights": "COTANGENT", "operators": "PAPER", "tieDistance": 0.1}"#,
             r#"{"volumeGraph": {"mode": "REQUIRED", "interval": 0.1, "valence": 8, "shellOffset": 0.3, "kind": "PAPER"}}"#,
+            r#"{"volumeGraph": {"stiffness": 0.1}}"#,
             r#"{"volumeGraph": {"mode": "OFF"}, "keepApart": {"primitives": [1], "components": [2, 3]}}"#,
             r#"{"morphTargets": "KEEP", "rig": "KEEP"}"#,
             r#"{"boneLengths": "KEEP"}"#,

@@ -282,6 +282,7 @@ impl Animation {
             quality: Quality {
                 refine: Some(steps),
                 smoothing: 0.0,
+                keeps_volume: false,
                 ..self.quality
             },
             start: if is_first { SolveStart::Fresh } else { SolveStart::Warm },

@@ -71,6 +71,7 @@ pub const ANIMATION_QUALITY: Quality = Quality {
     max_error: Some(1e-3),
     refine: None,
     smoothing: 0.0,
+    keeps_volume: false,
 };
 
 /// When the frames of an animation are, in seconds of its clip.

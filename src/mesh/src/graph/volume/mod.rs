@@ -51,6 +51,9 @@ pub struct VolumeOptions {
     pub shell_offset: Option<f64>,
     /// Weights of the mesh's edges.
     pub weights: EdgeWeights,
+    /// Of kind [`InteriorKind::Shape`], what edges inside weigh relative to the default, 1e-3 to 1e3. With less, the mesh's edges
+    /// keep their lengths better, and sections collapse in bends.
+    pub stiffness: f64,
     /// Most nodes that the graph may have.
     pub max_nodes: usize,
 }
@@ -63,6 +66,7 @@ impl Default for VolumeOptions {
             valence: 14,
             shell_offset: None,
             weights: EdgeWeights::default(),
+            stiffness: 1.0,
             max_nodes: 50_000_000,
         }
     }
@@ -82,6 +86,13 @@ impl VolumeOptions {
     pub(in crate::graph) fn check(&self) -> Result<(), Error> {
         Error::check_length("interval", self.interval)?;
         Error::check_length("shell offset", self.shell_offset)?;
+        if !(1e-3..=1e3).contains(&self.stiffness) {
+            let seen = self.stiffness;
+            return Err(Error::invalid(
+                "stiffness",
+                format!("is {seen}, allowed are 1e-3 to 1e3"),
+            ));
+        }
         match self.valence {
             8 | 14 => Ok(()),
             seen => Err(Error::invalid("valence", format!("is {seen}, allowed are 14 and 8"))),

@@ -109,6 +109,8 @@ pub(in crate::graph) fn shape_interior(
     };
     let JoinedLattices { mut inner, stats, .. } = lattices;
     inner.struts = struts(site, &thin)?;
+    let stiffness = options.stiffness as f32;
+    inner.struts.iter_mut().for_each(|(_, weight)| *weight *= stiffness);
     inner.ties = spread.ties;
     inner.tie_weights = spread.weights;
     if inner.positions.is_empty() && inner.struts.is_empty() {
@@ -191,7 +193,7 @@ impl JoinedLattices {
         inner.lattice.append(&mut edges.rows);
         // A lattice without edges along the axes has half the energy.
         let share = if options.valence == 8 { 2.0 } else { 1.0 };
-        let weight = STIFFNESS * share * grid.interval / class.thickness;
+        let weight = STIFFNESS * options.stiffness * share * grid.interval / class.thickness;
         inner.lattice_weights.resize(inner.positions.len(), weight as f32);
         self.intervals.push(grid.interval);
         self.ties.extend(edges.exits.into_iter().map(|mut exit| {
