@@ -11,7 +11,7 @@ const HALF_SPAN: f64 = 1.0 / 30.0;
 /// The part of all frames in which a point is below its floor.
 const BELOW: f64 = 0.05;
 /// A contact is no shorter, in seconds; a pause in it is longer.
-const SHORTEST: f64 = 0.1;
+pub(super) const SHORTEST: f64 = 0.1;
 const PAUSE: f64 = 0.05;
 
 /// What of a foot stands in a frame.

@@ -6,7 +6,7 @@
 
 use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError, listed_names};
 use super::legs::Leg;
-use super::planted_feet::{FootContacts, PlantedFeet, RecordedTimes};
+use super::planted_feet::{FootContacts, PlantedFeet, RecordedLeg, RecordedTimes};
 use super::rigid_motion::{RigidMotion, rotation_about, twist_angle};
 use crate::skeleton::MotionClip;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
@@ -203,8 +203,24 @@ impl RigDriver {
         let count = ((self.clip.duration - start).max(0.0) / interval + 1e-3) as usize + 1;
         let times = RecordedTimes { start, interval, count };
         let legs = Leg::all_of(rig, &self.clip.skeleton);
-        self.feet = PlantedFeet::of(rig, &legs, times, |seconds| self.fitted_motions(seconds));
+        let driven = |seconds: f64| self.fitted_motions(seconds);
+        let recorded = |seconds: f64, leg: &Leg| self.recorded_leg(seconds, leg);
+        self.feet = PlantedFeet::of(rig, &legs, times, driven, recorded);
         self.feet.is_some()
+    }
+
+    fn recorded_leg(&self, seconds: f64, leg: &Leg) -> RecordedLeg {
+        let places = ClipState::at(&self.clip, seconds).places;
+        let [hip, knee] = [leg.thigh, leg.shin].map(|bone| self.bones[bone].joint);
+        let below = |joint: usize| first_below_elsewhere(&self.clip, joint, &places).unwrap_or(joint);
+        let ankle = leg.foot.map_or_else(|| below(knee), |foot| self.bones[foot].joint);
+        let place = |joint: usize| self.heading * places[joint];
+        RecordedLeg {
+            hip: place(hip),
+            knee: place(knee),
+            ankle: place(ankle),
+            toe: place(below(ankle)),
+        }
     }
 
     /// What feet do at some times in seconds; nothing where they are not planted.

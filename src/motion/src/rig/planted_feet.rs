@@ -7,7 +7,7 @@
 //! alone, and is lowered where a leg would be too short. Legs are then turned for the rest (`leg_reach`).
 
 use super::bones::MotionRig;
-use super::contacts::{FootTrack, Standing, runs};
+use super::contacts::{FootTrack, SHORTEST, Standing, runs};
 use super::leg_reach::ReachingLeg;
 use super::legs::Leg;
 use super::rigid_motion::RigidMotion;
@@ -20,6 +20,8 @@ const BLEND: f64 = 0.2;
 const STRAIGHTEST: f64 = 0.99;
 /// The root is lowered by no more than this share of a leg.
 const LOWEST: f64 = 0.15;
+/// An ankle is shifted by no more than this share of a leg; where it would be, a contact is ended sooner or begun later.
+const FARTHEST: f64 = 0.12;
 /// Half the time over which the lowering of the root is evened out, in seconds.
 const EVENED: f64 = 0.1;
 
@@ -46,10 +48,21 @@ struct PlantedFoot {
     shifts: Vec<DVec3>,
 }
 
+/// Joints of a leg of a recording, in its units, the vertical along y.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct RecordedLeg {
+    pub(super) hip: DVec3,
+    pub(super) knee: DVec3,
+    pub(super) ankle: DVec3,
+    pub(super) toe: DVec3,
+}
+
 /// Where a leg is in the frames of a recording, as it is driven.
 struct DrivenLeg {
     hips: Vec<DVec3>,
     track: FootTrack,
+    /// The same foot in the recording.
+    recorded: FootTrack,
     /// The sum over frames of the axis about which the knee is bent, in the thigh's rest pose.
     bent: DVec3,
 }
@@ -80,27 +93,35 @@ pub struct FootContacts {
 
 impl PlantedFeet {
     /// Finds when feet stand; `None` for a rig without legs, or a motion that is not finite. `driven` has the bones at a time as they
-    /// are driven, the vertical along y.
+    /// are driven, the vertical along y, `recorded` a leg of the recording.
     pub(super) fn of(
         rig: &MotionRig,
         legs: &[Leg],
         times: RecordedTimes,
         driven: impl Fn(f64) -> Vec<RigidMotion>,
+        recorded: impl Fn(f64, &Leg) -> RecordedLeg,
     ) -> Option<Self> {
         let mut feet: Vec<PlantedFoot> = legs.iter().filter_map(|leg| PlantedFoot::at_rest(*leg, rig)).collect();
         if feet.is_empty() {
             return None;
         }
-        let mut moved: Vec<DrivenLeg> = feet.iter().map(|foot| DrivenLeg::of(&foot.reaching)).collect();
+        let mut moved: Vec<DrivenLeg> = Vec::with_capacity(feet.len());
+        for foot in &feet {
+            let leg = recorded(times.start, &foot.reaching.leg);
+            let length = leg.hip.distance(leg.knee) + leg.knee.distance(leg.ankle);
+            moved.push(DrivenLeg::of(foot.reaching.length(), length));
+        }
         for frame in 0..times.count {
-            let world = driven(times.start + frame as f64 * times.interval);
-            feet.iter()
-                .zip(&mut moved)
-                .for_each(|(foot, leg)| leg.push(foot, &world));
+            let seconds = times.start + frame as f64 * times.interval;
+            let world = driven(seconds);
+            for (foot, leg) in feet.iter().zip(&mut moved) {
+                leg.push(foot, &world, &recorded(seconds, &foot.reaching.leg));
+            }
         }
         for (foot, leg) in feet.iter_mut().zip(&moved) {
             foot.reaching.hinge = leg.bent.normalize_or(foot.reaching.hinge);
-            foot.standing = leg.track.standing(times.interval);
+            foot.standing = leg.recorded.standing(times.interval);
+            foot.release(&leg.track, (SHORTEST / times.interval).round() as usize);
             foot.shifts = foot.shifts_of(&leg.track, times.interval);
         }
         let mut roots = carried_roots(&feet, times.interval);
@@ -192,19 +213,24 @@ impl PlantedFeet {
 }
 
 impl DrivenLeg {
-    fn of(leg: &ReachingLeg) -> Self {
+    /// No frame yet of a leg that is so long, and so long in the recording.
+    fn of(length: f64, recorded: f64) -> Self {
+        let track = |leg: f64| FootTrack {
+            toe: Vec::new(),
+            ankle: Vec::new(),
+            leg,
+        };
         Self {
             hips: Vec::new(),
-            track: FootTrack {
-                toe: Vec::new(),
-                ankle: Vec::new(),
-                leg: leg.length(),
-            },
+            track: track(length),
+            recorded: track(recorded),
             bent: DVec3::ZERO,
         }
     }
 
-    fn push(&mut self, foot: &PlantedFoot, world: &[RigidMotion]) {
+    fn push(&mut self, foot: &PlantedFoot, world: &[RigidMotion], recorded: &RecordedLeg) {
+        self.recorded.ankle.push(recorded.ankle);
+        self.recorded.toe.push(recorded.toe);
         let [hip, knee, ankle] = foot.reaching.joints(world);
         self.hips.push(hip);
         self.track.ankle.push(ankle);
@@ -243,6 +269,37 @@ impl PlantedFoot {
         match point {
             Standing::Ankle => self.reaching.joints(world)[2],
             Standing::Toe => world[self.reaching.leg.foot.unwrap_or(self.reaching.leg.shin)].place(self.toe),
+        }
+    }
+
+    /// Ends contacts sooner, or begins them later, where they would shift the ankle too far; those that become no longer than so many
+    /// frames are none.
+    fn release(&mut self, track: &FootTrack, shortest: usize) {
+        let farthest = FARTHEST * self.reaching.length();
+        let mut shifts = vec![DVec3::ZERO; self.standing.len()];
+        for run in runs(&self.standing, Option::is_some) {
+            self.fill_contact(track, run.clone(), &mut shifts);
+            let mut kept = run.clone();
+            let mut sum: DVec3 = shifts[run.clone()].iter().sum();
+            while !kept.is_empty() {
+                let mean = sum / kept.len() as f64;
+                let [first, last] = [kept.start, kept.end - 1].map(|k| shifts[k].distance(mean));
+                if first.max(last) <= farthest {
+                    break;
+                }
+                if first > last {
+                    sum -= shifts[kept.start];
+                    kept.start += 1;
+                } else {
+                    kept.end -= 1;
+                    sum -= shifts[kept.end];
+                }
+            }
+            if kept.len() <= shortest {
+                kept = run.start..run.start;
+            }
+            self.standing[run.start..kept.start].fill(None);
+            self.standing[kept.end..run.end].fill(None);
         }
     }
 
