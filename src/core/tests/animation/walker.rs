@@ -51,8 +51,8 @@ fn leg_angles(hip: (f64, f64), ankle: (f64, f64)) -> [f64; 3] {
 /// The recording. Its first frame is the T-pose.
 pub fn walk() -> MotionClip {
     let turning = "CHANNELS 3 Zrotation Xrotation Yrotation";
-    let mut text = format!(
-        "HIERARCHY\nROOT Hips\n{{\nOFFSET 0 0 0\nCHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n"
+    let mut text = String::from(
+        "HIERARCHY\nROOT Hips\n{\nOFFSET 0 0 0\nCHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n",
     );
     for (side, x) in [("Left", 10.0), ("Right", -10.0)] {
         write!(
