@@ -10,7 +10,7 @@ const SPEED: [f64; 2] = [0.35, 0.8];
 const HALF_SPAN: f64 = 1.0 / 30.0;
 /// The part of all frames in which a point is below its floor.
 const BELOW: f64 = 0.05;
-/// A contact is no shorter, in seconds; a pause in it is longer.
+/// A contact is at least so long, in seconds; a longer pause ends it.
 pub(super) const SHORTEST: f64 = 0.1;
 const PAUSE: f64 = 0.05;
 
@@ -100,7 +100,7 @@ mod tests {
             let (step, within) = (k / 20, k % 20);
             let share = (within as f64 - 10.0).max(0.0) / 10.0;
             let lift = height * (std::f64::consts::PI * share).sin();
-            let shake = noise * if k % 2 == 0 { 1.0 } else { -1.0 };
+            let shake = noise * if k.is_multiple_of(2) { 1.0 } else { -1.0 };
             DVec3::new(shake, lift + shake, step as f64 + share)
         };
         (0..100).map(place).collect()

@@ -32,7 +32,7 @@ impl ReachingLeg {
     }
 
     /// Turns thigh and shin so that the ankle comes to `target`, or as near as the leg is long. The foot keeps its attitude, and what
-    /// hangs on the bones goes along. `parents` has the bone that each hangs on.
+    /// hangs on the bones follows them. `parents` has the bone that each hangs on.
     pub(super) fn reach(&self, world: &mut [RigidMotion], parents: &[Option<usize>], target: DVec3) {
         let [hip, knee, ankle] = self.joints(world);
         let (thigh, shin) = (knee - hip, ankle - knee);

@@ -3,7 +3,7 @@
 //! While a foot stands, the point on which it does is to stay where it is. What this takes is known of the whole recording before the
 //! first frame (`contacts`): by frame of the recording, a shift of each ankle and of the root. A shift goes against the drift of the
 //! point that stands, is nothing in the mean over a contact and passes smoothly to the next one or to nothing, so that nothing jumps
-//! where a contact begins or ends. The root goes along with the feet that stand, so that legs keep their attitude where one foot stands
+//! where a contact begins or ends. The root moves with the feet that stand, so that legs keep their attitude where one foot stands
 //! alone, and is lowered where a leg would be too short. Legs are then turned for the rest (`leg_reach`).
 
 use super::bones::MotionRig;
@@ -16,7 +16,7 @@ use std::ops::Range;
 
 /// How long a shift lasts before and after a contact, in seconds.
 const BLEND: f64 = 0.2;
-/// A leg is no straighter than this share of its length, unless the recording has it so.
+/// A leg is at most as straight as this share of its length, unless the recording has it so.
 const STRAIGHTEST: f64 = 0.99;
 /// The root is lowered by no more than this share of a leg.
 const LOWEST: f64 = 0.15;
@@ -396,7 +396,7 @@ impl EdgeOfContact {
     }
 }
 
-/// By frame, the shift of the root that goes along with the feet that stand: the mean of theirs, each beginning and ending smoothly.
+/// By frame, the shift of the root that moves it with the feet that stand: the mean of theirs, each beginning and ending smoothly.
 fn carried_roots(feet: &[PlantedFoot], interval: f64) -> Vec<DVec3> {
     let blend = ((BLEND / interval).round() as usize).max(1);
     let count = feet.first().map_or(0, |foot| foot.shifts.len());
