@@ -98,6 +98,7 @@ pub(super) fn measure_own_clip(
             ..Default::default()
         },
         scale: None,
+        plant_feet: None,
         quality: ANIMATION_QUALITY,
     };
     let limits = AnimationLimits {

@@ -67,6 +67,9 @@ pub struct AnimateArgs {
     /// Model units for one unit of the clip: auto, or a number
     #[arg(long, default_value = "auto")]
     scale: String,
+    /// Keep feet where they stand [default: of a recording whose legs drive the rig]
+    #[arg(long, value_name = "BOOL")]
+    plant_feet: Option<bool>,
     /// Relative residual to reach
     #[arg(long)]
     tolerance: Option<f64>,
@@ -128,6 +131,7 @@ pub(in crate::cli) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> 
         rig: sources.rig,
         frames,
         scale,
+        plant_feet: args.plant_feet,
         quality,
     };
     let limits = AnimationLimits {
@@ -199,6 +203,16 @@ fn print_summary(report: &pb::AnimationReport, is_open: bool) {
         let worst = describe_change(is_open, totals.volume_change_worst);
         volume += &format!(", at worst {worst}");
     }
+    for foot in &report.feet {
+        eprintln!(
+            "{} stands in {} frames, {} times; it slides by {:.2} % of the height a frame, {:.2} % as recorded",
+            foot.bone,
+            foot.planted_frames,
+            foot.contacts.len(),
+            100.0 * foot.drift_after,
+            100.0 * foot.drift_before
+        );
+    }
     eprintln!(
         "{} frames, {:.1} a second after {:.0} ms; volume {volume}; {:.1} triangles flipped a frame, at worst {}",
         totals.frames, totals.frames_per_second, ready, totals.flipped_triangles_mean, totals.flipped_triangles_worst
@@ -249,6 +263,9 @@ impl AnimateArgs {
         let mut identity = format!("pliant {}\n", env!("CARGO_PKG_VERSION"));
         if self.weights == SurfaceWeights::Uniform {
             identity += "weights uniform\n";
+        }
+        if let Some(plant_feet) = self.plant_feet {
+            identity += &format!("plant feet {plant_feet}\n");
         }
         let mut rig = None;
         if let Some(path) = &self.rig {

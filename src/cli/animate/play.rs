@@ -6,7 +6,7 @@ use crate::cli::terminal::CliFailure;
 use crate::engine::{AnimatedFrame, Animation, Deformer, FrameSums, QualityReport, digest};
 use crate::exec::Exec;
 use crate::progress::{CancelFlag, Progress};
-use crate::wire::{animation_totals, held_nodes_message, pb};
+use crate::wire::{animation_totals, feet_message, held_nodes_message, pb};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::ops::Range;
 use std::path::Path;
@@ -31,6 +31,7 @@ pub(super) fn play(
         warnings: animation.warnings(),
         scale: animation.driver().scale(),
         handles: held_nodes_message(animation.handle_facts()),
+        feet: feet_message(animation.feet()),
         ..Default::default()
     };
     let begun = millis();

@@ -197,6 +197,13 @@ impl BoneInfluences {
         Some(found)
     }
 
+    /// The heaviest of them, at most `most`.
+    #[must_use]
+    pub fn cut_to(&self, most: usize) -> Self {
+        let mut pairs: Vec<(u16, f64)> = self.iter().take(most).map(|(bone, w)| (bone as u16, w)).collect();
+        Self::from_pairs(&mut pairs).unwrap_or(*self)
+    }
+
     /// The weighted mean of what each bone does with a point.
     pub fn blend(&self, place: impl Fn(usize) -> DVec3) -> DVec3 {
         self.iter().map(|(bone, weight)| place(bone) * weight).sum()

@@ -7,9 +7,10 @@ use super::rig::motion_rig;
 use super::{Error, json, pb};
 use bytes::Bytes;
 use pb::animate_options::{PlayedAs, Root, SkipFirst, Source};
-use pb::animation_report::{HeldNodes, Totals};
+use pb::animation_report::foot::Contact;
+use pb::animation_report::{Foot, HeldNodes, Totals};
 use pliant_core::engine::{
-    ANIMATION_QUALITY, ClipRequest, ClipSource, FrameChoice, FrameSums, PlayedForm, Quality, RigHandleFacts,
+    ANIMATION_QUALITY, ClipRequest, ClipSource, FootFacts, FrameChoice, FrameSums, PlayedForm, Quality, RigHandleFacts,
 };
 use pliant_motion::rig::MotionRig;
 use serde_json::Value;
@@ -115,6 +116,7 @@ pub fn animate_order(options: &pb::AnimateOptions, max_window: u32, clip_bytes: 
             *MotionRig::SCALES.end(),
             "scale",
         )?,
+        plant_feet: options.plant_feet,
         quality: quality(options)?,
     };
     Ok(AnimateOrder {
@@ -194,7 +196,7 @@ fn played_form(options: &pb::AnimateOptions) -> Result<PlayedForm, Error> {
 /// An error of a rig, with its field of the options.
 pub fn of_rig(error: Error) -> Error {
     renamed(error, |field| match field {
-        "rig" | "clip" | "first" => field.into(),
+        "rig" | "clip" | "first" | "plantFeet" => field.into(),
         _ => format!("rig.{field}"),
     })
 }
@@ -218,6 +220,8 @@ pub struct AnimationSummary {
     pub ms: f64,
     /// What the handles of the rig came to hold.
     pub handles: Vec<RigHandleFacts>,
+    /// What planted feet do.
+    pub feet: Vec<FootFacts>,
     /// What was noticed, one line each.
     pub warnings: Vec<String>,
     /// Model units for one unit of the clip.
@@ -244,6 +248,7 @@ pub fn summary_frame(summary: &AnimationSummary, seq: u64) -> pb::Frame {
     let report = pb::AnimationReport {
         totals: Some(animation_totals(&summary.sums, summary.ms)),
         handles: held_nodes_message(&summary.handles),
+        feet: feet_message(&summary.feet),
         warnings: summary.warnings.clone(),
         scale: summary.scale,
         build_ms: summary.build_ms.clone(),
@@ -284,6 +289,18 @@ pub fn held_nodes_message(handles: &[RigHandleFacts]) -> Vec<HeldNodes> {
         widened: held.widened,
     };
     handles.iter().map(message).collect()
+}
+
+/// Writes what planted feet do.
+pub fn feet_message(feet: &[FootFacts]) -> Vec<Foot> {
+    let message = |foot: &FootFacts| Foot {
+        bone: foot.bone.clone(),
+        contacts: foot.contacts.iter().map(|&[from, to]| Contact { from, to }).collect(),
+        planted_frames: u32::try_from(foot.planted).unwrap_or(u32::MAX),
+        drift_before: foot.drift[0],
+        drift_after: foot.drift[1],
+    };
+    feet.iter().map(message).collect()
 }
 
 #[cfg(test)]

@@ -23,7 +23,7 @@ mod rig;
 
 pub use animate::{
     AnimateOrder, AnimationSummary, RootMotion, animate_options_from_json, animate_order, animation_totals,
-    held_nodes_message, of_rig, stage_frame, summary_frame,
+    feet_message, held_nodes_message, of_rig, stage_frame, summary_frame,
 };
 pub use calls::{PoseCommit, SessionEdit, SessionPage, page_token, pose_commit, session_edit, session_page};
 pub use create::{SessionOptions, open_options, session_options};

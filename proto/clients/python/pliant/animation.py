@@ -41,7 +41,7 @@ class AnimateFields(TypedDict, total=False):
     count: int
     #: Whether the first frame, often a T-pose, is left out; "auto" where it is far from the second.
     skip_first: Union[bool, Literal["auto"]]
-    #: Model units for one unit of the clip; absent, by the lengths of the bones.
+    #: Model units for one unit of the clip; absent, by the lengths of the legs, without legs by those of all bones.
     scale: float
     #: How often rotations are fitted in a frame, 0 to 32; absent, carried on from frame to frame.
     refine: int
@@ -60,9 +60,11 @@ class AnimateFields(TypedDict, total=False):
     encoding: Literal["f32", "u16", "meshopt", "delta"]
     #: Unacknowledged frames in flight.
     window: int
+    #: Whether feet stay where they stand; absent, of a BVH file whose legs drive the rig.
+    plant_feet: bool
 
 
-_PLAIN = ("fps", "first", "count", "scale", "refine", "tolerance", "window")
+_PLAIN = ("fps", "first", "count", "scale", "refine", "tolerance", "window", "plant_feet")
 _OUTPUT = ("normals", "tangents", "changed_only", "encoding")
 
 

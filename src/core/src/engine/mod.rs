@@ -57,8 +57,8 @@ pub use crate::deform::{PoseStats, Quality, SolveUpdate};
 pub use crate::reference::Method;
 pub use animation::{
     ANIMATION_QUALITY, AnimatedFrame, Animation, AnimationLimits, BLOCK_FRAMES, BoundModel, ClipRequest, ClipSource,
-    FrameChoice, FrameCursor, FrameSource, FrameSums, FrameTimes, MadeRig, PlayedClipFile, PlayedForm, RigHandleFacts,
-    RigNodes, RigOrder, WrittenError, bind_model, carrying_joints, influences_of_skin, left_out_of_rig,
+    FootFacts, FrameChoice, FrameCursor, FrameSource, FrameSums, FrameTimes, MadeRig, PlayedClipFile, PlayedForm,
+    RigHandleFacts, RigNodes, RigOrder, WrittenError, bind_model, carrying_joints, influences_of_skin, left_out_of_rig,
     left_out_passengers, left_out_primitives, make_rig, node_place,
 };
 pub use deformer::Deformer;

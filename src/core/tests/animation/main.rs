@@ -2,4 +2,6 @@
 
 mod arm;
 mod blocks;
+mod feet;
 mod follow;
+mod walker;

@@ -13,6 +13,7 @@
 
 mod bone_fit;
 mod clusters;
+mod joined;
 mod sequence;
 mod weight_fit;
 
@@ -21,11 +22,12 @@ use super::skeleton::BoneInfluences;
 use bone_fit::{BoneFrames, fit_bones};
 use clusters::{FittedSkin, cluster_bones, move_bones};
 use glam::{DMat3, DVec3};
+use joined::MeanWeights;
 use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
 use sequence::ShapeSamples;
 pub use sequence::{DecompositionError, ShapeSequence};
-use weight_fit::fit_influences;
+use weight_fit::{fit_influences, fit_near_means};
 
 /// How an animation is decomposed.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -93,6 +95,18 @@ const SAMPLE_FRAMES: usize = 64;
 const SWEEPS: usize = 6;
 /// Fits in turn with all vertices, and with all frames.
 const LAST_ITERATIONS: usize = 6;
+/// How strongly weights are drawn to the means around them, in units of the error that bones and weights leave, and at most and at
+/// least as a part of the shape's size.
+const DRAWN: f64 = 1.0;
+const DRAWN_WITHIN: [f64; 2] = [1e-6, 3e-3];
+/// Next to jumps, up to how strongly.
+const MOST_DRAWN: f64 = 3e-2;
+/// By how much more strongly in each round.
+const STRONGER: f64 = 2.0;
+/// The largest difference of a weight across an edge that is left alone.
+const JUMP: f64 = 0.45;
+/// Times that weights are drawn to the means around them where the bones' motions are given.
+const DRAWN_ROUNDS: usize = 3;
 /// Rounds after which bones that hardly matter are moved.
 const MOVE_EVERY: usize = 5;
 
@@ -130,6 +144,7 @@ pub fn decompose(
     improve(&sample, options, &mut skin, exec)?;
     let mut bones = skin.bones;
     let mut influences: Option<Vec<BoneInfluences>> = None;
+    let mut drawn = 0.0;
     for frames_of_all in [false, true] {
         let (samples, picked);
         if frames_of_all {
@@ -147,12 +162,25 @@ pub fn decompose(
             fit_bones(samples, influences, 3 * SWEEPS, &mut bones, exec)?;
         }
         for _ in 0..if frames_of_all { 2 } else { LAST_ITERATIONS } {
-            let found = fit_influences(samples, &bones, most, influences.as_deref(), exec)?.0;
+            let found = match &influences {
+                Some(before) if !sequence.joined.is_empty() => {
+                    let means = sequence.joined.means(before, exec)?;
+                    fit_near_means(samples, &bones, most, &means, drawn, exec)?
+                }
+                before => {
+                    let (found, errors) = fit_influences(samples, &bones, most, before.as_deref(), exec)?;
+                    drawn = strength_for(&errors, samples.frames());
+                    found
+                }
+            };
             fit_bones(samples, &found, SWEEPS, &mut bones, exec)?;
             influences = Some(found);
         }
     }
-    let influences = influences.unwrap_or_default();
+    let mut influences = influences.unwrap_or_default();
+    if !sequence.joined.is_empty() {
+        smooth_jumps(sequence, &bones, drawn, &mut influences, exec)?;
+    }
     Ok(in_model_units(sequence, &bones, influences, exec)?)
 }
 
@@ -227,8 +255,51 @@ pub fn fit_weights(
             bones.set(frame, bone, DMat3::from_quat(seen.rotation), at);
         }
     }
-    let (influences, _) = fit_influences(&sequence.samples, &bones, most, None, exec)?;
+    let (mut influences, errors) = fit_influences(&sequence.samples, &bones, most, None, exec)?;
+    if !sequence.joined.is_empty() {
+        let drawn = strength_for(&errors, sequence.frames());
+        for _ in 0..DRAWN_ROUNDS {
+            let means = sequence.joined.means(&influences, exec)?;
+            influences = fit_near_means(&sequence.samples, &bones, most, &means, drawn, exec)?;
+        }
+        smooth_jumps(sequence, &bones, drawn, &mut influences, exec)?;
+    }
     Ok(in_model_units(sequence, &bones, influences, exec)?)
+}
+
+/// How strongly weights are drawn to means where the fit leaves these squared errors, summed over so many frames.
+fn strength_for(errors: &[f64], frames: usize) -> f64 {
+    let [least, most] = DRAWN_WITHIN;
+    let mean = errors.iter().sum::<f64>() / (errors.len() * frames).max(1) as f64;
+    (DRAWN * mean.sqrt()).clamp(least, most)
+}
+
+/// Fits weights again, more and more strongly drawn to the means around them, where they jump from a vertex to the next one.
+fn smooth_jumps(
+    sequence: &ShapeSequence,
+    bones: &BoneFrames,
+    drawn: f64,
+    influences: &mut [BoneInfluences],
+    exec: &Exec<'_>,
+) -> Result<(), Cancelled> {
+    let frames: Vec<usize> = (0..sequence.frames()).collect();
+    let most = influences.iter().map(|own| own.iter().count()).max().unwrap_or(1);
+    let mut drawn = drawn * STRONGER;
+    while drawn <= MOST_DRAWN {
+        let chosen = sequence.joined.beside_jumps(influences, JUMP);
+        if chosen.is_empty() {
+            break;
+        }
+        let all = sequence.joined.means(influences, exec)?;
+        let means: Vec<MeanWeights> = chosen.iter().map(|v| all[*v as usize].clone()).collect();
+        let samples = sequence.samples.pick(&chosen, &frames);
+        let found = fit_near_means(&samples, bones, most, &means, drawn, exec)?;
+        for (vertex, own) in chosen.iter().zip(found) {
+            influences[*vertex as usize] = own;
+        }
+        drawn *= STRONGER;
+    }
+    Ok(())
 }
 
 /// At most `most` of `count` numbers, spread evenly but not regularly, in rising order.

@@ -1,5 +1,6 @@
 //! The frames of an animation as the decomposition keeps them: in single precision, turned back onto the rest shape.
 
+use super::joined::JoinedVertices;
 use crate::rig::RigidMotion;
 use glam::{DMat3, DVec3};
 use pliant_exec::progress::Cancelled;
@@ -38,6 +39,7 @@ pub enum DecompositionError {
 #[derive(Debug, Clone)]
 pub struct ShapeSequence {
     pub(super) samples: ShapeSamples,
+    pub(super) joined: JoinedVertices,
     /// By frame: the motion of the whole shape, in model units.
     pub(super) carried: Vec<RigidMotion>,
     /// Of the rest shape, in model units.
@@ -116,10 +118,16 @@ impl ShapeSequence {
                 rest: rest.iter().map(|p| (*p - centre) / diagonal).collect(),
                 ..ShapeSamples::default()
             },
+            joined: JoinedVertices::default(),
             carried: Vec::new(),
             centre,
             diagonal,
         })
+    }
+
+    /// Joins vertices by the triangles of the mesh, so that neighbours get weights that are alike.
+    pub fn join(&mut self, triangles: &[[u32; 3]]) {
+        self.joined = JoinedVertices::of_triangles(&self.samples.rest, triangles);
     }
 
     /// Adds a frame: a position for each vertex of the rest shape, in model units.

@@ -7,6 +7,7 @@
 //! The smallest value of wᵀ G w over weights that are not negative and add up to one, for up to five of them.
 
 use super::bone_fit::{BoneFrames, BoneProducts, VertexTargets, gather_targets};
+use super::joined::MeanWeights;
 use super::sequence::ShapeSamples;
 use crate::skeleton::BoneInfluences;
 use pliant_exec::Exec;
@@ -20,6 +21,26 @@ const GAIN: f64 = 1e-5;
 /// Changes of a set at most, and bones that are tried for each.
 const CHANGES: usize = 24;
 const TRIES: usize = 3;
+
+/// Fits weights to all vertices, each drawn to its mean. Sets of bones begin with the heaviest of the mean. `drawn`: weights that are one
+/// away from the mean count as much as an error of this part of the shape's size in each frame.
+pub(super) fn fit_near_means(
+    samples: &ShapeSamples,
+    bones: &BoneFrames,
+    most: usize,
+    means: &[MeanWeights],
+    drawn: f64,
+    exec: &Exec<'_>,
+) -> Result<Vec<BoneInfluences>, Cancelled> {
+    let strength = drawn * drawn * samples.frames() as f64;
+    let found = for_each_vertex(samples, bones, exec, |search, vertex, v| {
+        search.draw_to(&means[v], strength);
+        let mut heaviest = means[v].clone();
+        let start = BoneInfluences::from_pairs(&mut heaviest).map(|start| start.cut_to(most));
+        search.best_set(vertex, most, start.as_ref())
+    });
+    Ok(found?.0)
+}
 
 /// Fits weights to all vertices, beginning with `before` where it is given. Also answers each vertex's squared error, summed
 /// over all frames.
@@ -101,6 +122,11 @@ struct WeightedSet {
 /// Searches the sets of bones of one vertex after the other.
 struct SetSearch<'a> {
     products: &'a BoneProducts,
+    /// The weights of all bones that a vertex is drawn to; empty where it is free.
+    mean: Vec<f64>,
+    /// How strongly, and the square of those weights.
+    strength: f64,
+    mean_square: f64,
     /// Each bone's error alone.
     alone: Vec<f64>,
     /// Rows of the Gram matrix that are known.
@@ -112,10 +138,32 @@ impl<'a> SetSearch<'a> {
     fn new(products: &'a BoneProducts) -> Self {
         Self {
             products,
+            mean: Vec::new(),
+            strength: 0.0,
+            mean_square: 0.0,
             alone: Vec::new(),
             rows: Vec::new(),
             known: 0,
         }
+    }
+
+    /// Draws the next vertex to a mean: s ‖w − m‖² is added to its squared error.
+    fn draw_to(&mut self, mean: &MeanWeights, strength: f64) {
+        self.mean.clear();
+        self.mean.resize(self.products.bones(), 0.0);
+        mean.iter()
+            .for_each(|(bone, weight)| self.mean[usize::from(*bone)] = *weight);
+        self.mean_square = mean.iter().map(|m| m.1 * m.1).sum();
+        self.strength = strength;
+    }
+
+    /// What the mean adds to the product of two bones: for weights that add up to one, ‖w − m‖² is a quadratic form of w.
+    fn drawn(&self, a: usize, b: usize) -> f64 {
+        if self.mean.is_empty() {
+            return 0.0;
+        }
+        let same = if a == b { 1.0 } else { 0.0 };
+        self.strength * (same - self.mean[a] - self.mean[b] + self.mean_square)
     }
 
     fn best_single(&mut self, vertex: &VertexTargets<'_>) -> (usize, f64) {
@@ -137,8 +185,10 @@ impl<'a> SetSearch<'a> {
     ) -> (BoneInfluences, f64) {
         self.known = 0;
         self.alone.clear();
-        let alone = (0..self.products.bones()).map(|bone| self.products.own_error(vertex, bone));
-        self.alone.extend(alone);
+        for bone in 0..self.products.bones() {
+            let drawn = self.drawn(bone, bone);
+            self.alone.push(self.products.own_error(vertex, bone) + drawn);
+        }
         let mut single = 0;
         for (bone, error) in self.alone.iter().enumerate() {
             if *error < self.alone[single] {
@@ -273,9 +323,12 @@ impl<'a> SetSearch<'a> {
         if self.known == self.rows.len() {
             self.rows.push((bone, Vec::new()));
         }
-        let slot = &mut self.rows[self.known];
-        slot.0 = bone;
-        self.products.gram_row(vertex, bone, &mut slot.1);
+        let (_, mut row) = std::mem::take(&mut self.rows[self.known]);
+        self.products.gram_row(vertex, bone, &mut row);
+        row.iter_mut()
+            .enumerate()
+            .for_each(|(other, product)| *product += self.drawn(bone, other));
+        self.rows[self.known] = (bone, row);
         self.known += 1;
         self.known - 1
     }

@@ -90,7 +90,7 @@ pub struct MotionRig {
     pub bones: Vec<RigBone>,
     /// What the model's bones are fitted to.
     pub reference: ReferencePose,
-    /// Model units for one unit of the clip; `None`: by the lengths of the bones.
+    /// Model units for one unit of the clip; `None`: by the lengths of the legs, without legs by those of all bones.
     pub scale: Option<f64>,
     /// The vertical of the model.
     pub up: SignedAxis,

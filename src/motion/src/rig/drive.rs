@@ -5,6 +5,8 @@
 //! Bones that a clip twists nearly half around.
 
 use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError, listed_names};
+use super::legs::Leg;
+use super::planted_feet::{FootContacts, PlantedFeet, RecordedLeg, RecordedTimes};
 use super::rigid_motion::{RigidMotion, rotation_about, twist_angle};
 use crate::signed_axis::SignedAxis;
 use crate::skeleton::MotionClip;
@@ -43,6 +45,8 @@ pub struct RigDriver {
     root_origin: DVec3,
     /// For a skin's own clip: by joint, the inverse of its rest pose. Its joints are the bones', so nothing is fitted.
     back_from_rest: Option<Vec<DAffine3>>,
+    /// Where feet are kept that stand.
+    feet: Option<PlantedFeet>,
     warnings: Vec<String>,
 }
 
@@ -60,6 +64,8 @@ struct DrivenBone {
     limit: Option<f64>,
 }
 
+/// Frames a second at which clips are looked at that were not recorded in frames.
+const UNRECORDED_RATE: f64 = 30.0;
 /// At how many times, evenly over a clip, it is looked at for what it scales.
 const SCALE_LOOKS: usize = 32;
 
@@ -114,7 +120,9 @@ impl RigDriver {
             });
         }
         let Heading { turn: heading, up } = heading_for_vertical(&pairs, rig.up);
-        let scale = options.scale.or(rig.scale).unwrap_or_else(|| scale(&rig.bones, &pairs));
+        let scale = (options.scale.or(rig.scale))
+            .or_else(|| scale_of_legs(rig, &Leg::all_of(rig, &clip.skeleton), &pairs))
+            .unwrap_or_else(|| scale_of_bones(&rig.bones, &pairs));
         let mut root_origin = ClipState::at(&clip, options.start).places[joints[0]];
         if let ReferencePose::Frame(_) = fitted_to {
             let height = reference.places[joints[0]];
@@ -126,6 +134,7 @@ impl RigDriver {
             scale,
             root_origin,
             back_from_rest: None,
+            feet: None,
             warnings: clip.warnings.clone(),
             clip,
         };
@@ -182,6 +191,44 @@ impl RigDriver {
             ));
         }
         Ok(driver)
+    }
+
+    /// Keeps feet where they stand from `start` on, in seconds; answers whether the rig has legs that the clip's legs turn. A skin's own
+    /// clip stays as it is.
+    pub fn plant_feet(&mut self, rig: &MotionRig, start: f64) -> bool {
+        if self.back_from_rest.is_some() {
+            return false;
+        }
+        let interval = self.clip.recorded.map_or(1.0 / UNRECORDED_RATE, |r| r.interval);
+        // Files round the time between frames.
+        let count = ((self.clip.duration - start).max(0.0) / interval + 1e-3) as usize + 1;
+        let times = RecordedTimes { start, interval, count };
+        let legs = Leg::all_of(rig, &self.clip.skeleton);
+        let driven = |seconds: f64| self.fitted_motions(seconds);
+        let recorded = |seconds: f64, leg: &Leg| self.recorded_leg(seconds, leg);
+        self.feet = PlantedFeet::of(rig, &legs, times, driven, recorded);
+        self.feet.is_some()
+    }
+
+    fn recorded_leg(&self, seconds: f64, leg: &Leg) -> RecordedLeg {
+        let places = ClipState::at(&self.clip, seconds).places;
+        let [hip, knee] = [leg.thigh, leg.shin].map(|bone| self.bones[bone].joint);
+        let below = |joint: usize| first_below_elsewhere(&self.clip, joint, &places).unwrap_or(joint);
+        let ankle = leg.foot.map_or_else(|| below(knee), |foot| self.bones[foot].joint);
+        let place = |joint: usize| self.heading * places[joint];
+        RecordedLeg {
+            hip: place(hip),
+            knee: place(knee),
+            ankle: place(ankle),
+            toe: place(below(ankle)),
+        }
+    }
+
+    /// What feet do at some times in seconds; nothing where they are not planted.
+    pub fn foot_contacts(&self, times: &[f64]) -> Vec<FootContacts> {
+        let feet = self.feet.iter();
+        feet.flat_map(|feet| feet.contacts(times, |seconds| self.fitted_motions(seconds)))
+            .collect()
     }
 
     /// The motions of joints from the rest pose.
@@ -284,7 +331,13 @@ impl RigDriver {
     fn world_motions(&self, seconds: f64) -> Vec<RigidMotion> {
         match self.back_from_rest {
             Some(_) => self.skin_motions(seconds),
-            None => self.fitted_motions(seconds),
+            None => {
+                let mut world = self.fitted_motions(seconds);
+                if let Some(feet) = &self.feet {
+                    feet.plant(seconds, &mut world);
+                }
+                world
+            }
         }
     }
 
@@ -469,8 +522,24 @@ fn points_of(pair: &BonePair) -> impl Iterator<Item = [DVec3; 2]> {
     [Some([pair.model[0], pair.clip.0]), end].into_iter().flatten()
 }
 
+/// Model units for one unit of a clip: the lengths of the model's legs over those of the clip's, so that steps are as long as legs
+/// make them and feet on the floor stay there. `None` without legs that have a length.
+fn scale_of_legs(rig: &MotionRig, legs: &[Leg], pairs: &[BonePair]) -> Option<f64> {
+    let length = |[hip, knee, ankle]: [DVec3; 3]| hip.distance(knee) + knee.distance(ankle);
+    let (mut model, mut clip) = (0.0, 0.0);
+    for leg in legs {
+        let [thigh, shin] = [leg.thigh, leg.shin].map(|bone| &pairs[bone]);
+        let Some(ankle) = leg.foot.map_or(shin.clip.1, |foot| Some(pairs[foot].clip.0)) else {
+            continue;
+        };
+        model += length(leg.rest_joints(rig));
+        clip += length([thigh.clip.0, shin.clip.0, ankle]);
+    }
+    (clip > 0.0 && model > 0.0).then(|| model / clip)
+}
+
 /// Model units for one unit of a clip: the lengths of the model's bones over those of the clip's. 1 where the clip's have none.
-fn scale(bones: &[RigBone], pairs: &[BonePair]) -> f64 {
+fn scale_of_bones(bones: &[RigBone], pairs: &[BonePair]) -> f64 {
     let (mut model, mut clip) = (0.0, 0.0);
     for (bone, pair) in bones.iter().zip(pairs) {
         let mut add = |[a, b]: [DVec3; 2], from: DVec3, to: DVec3| {

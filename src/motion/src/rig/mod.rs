@@ -7,10 +7,14 @@
 //! instead of wringing them.
 
 mod bones;
+mod contacts;
 mod drive;
 mod handles;
 mod joints;
+mod leg_reach;
+mod legs;
 mod of_skin;
+mod planted_feet;
 mod rigid_motion;
 
 pub(crate) use bones::listed_names;
@@ -18,5 +22,7 @@ pub use bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError};
 pub use drive::{DriveOptions, RigDriver, RigPose};
 pub use handles::{RigHandle, RigHandleShape, rig_handles};
 pub use joints::{RigSkeleton, moved_joints, rig_joints, skin_bones};
+pub use legs::Leg;
 pub use of_skin::rig_of_skin;
+pub use planted_feet::{FootContacts, PlantedFeet};
 pub use rigid_motion::RigidMotion;

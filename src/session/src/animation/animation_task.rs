@@ -84,6 +84,7 @@ impl AnimationTask {
         let memory = self.reserve_memory(&prepared)?;
         let summary = AnimationSummary {
             handles: prepared.animation.handle_facts().to_vec(),
+            feet: prepared.animation.feet().to_vec(),
             warnings: prepared.animation.warnings(),
             scale: prepared.animation.driver().scale(),
             build_ms: std::mem::take(&mut prepared.build_ms),

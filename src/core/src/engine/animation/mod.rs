@@ -24,6 +24,6 @@ pub use made_rig::{
 };
 pub use played::{PlayedClipFile, PlayedForm, WrittenError, node_place};
 pub use prepare::{
-    ANIMATION_QUALITY, Animation, AnimationLimits, BLOCK_FRAMES, ClipRequest, ClipSource, FrameChoice, FrameTimes,
-    RigNodes,
+    ANIMATION_QUALITY, Animation, AnimationLimits, BLOCK_FRAMES, ClipRequest, ClipSource, FootFacts, FrameChoice,
+    FrameTimes, RigNodes,
 };

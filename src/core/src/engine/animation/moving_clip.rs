@@ -2,7 +2,7 @@
 
 use crate::asset::{Model, MovingScene};
 use crate::engine::animation::made_rig::{MadeRig, RigOrder, left_out_primitives, left_out_warnings, make_rig};
-use crate::engine::animation::prepare::{Animation, AnimationLimits, ClipRequest, ClipSource, FrameTimes};
+use crate::engine::animation::prepare::{Animation, AnimationLimits, ClipRequest, ClipSource, FootFacts, FrameTimes};
 use crate::engine::deformer::Deformer;
 use crate::engine::error::Error;
 use crate::exec::Exec;
@@ -52,7 +52,7 @@ impl Animation {
         })?;
         let vertices = (range.len() as u64).saturating_mul(deformer.rest().len() as u64);
         check_count("the number of frames times that of vertices", vertices, limits.vertices)?;
-        let driver = moving.driver(deformer, request.scale, &times, &range)?;
+        let driver = moving.driver(deformer, request, &times, &range)?;
         let prepared = deformer.animation(moving.rig, driver, times, &request.quality, exec);
         let mut animation = prepared.map_err(|e| match e {
             Error::Precondition(problem) => RigError::field("rig", problem).into(),
@@ -64,6 +64,7 @@ impl Animation {
         if !animation.driver.clip().name.is_empty() {
             animation.clip_name.clone_from(&animation.driver.clip().name);
         }
+        animation.feet = feet_of(&animation, &range, deformer.rest());
         animation.range = range;
         animation.beside = moving.beside;
         animation.own_clip = moving.own;
@@ -86,7 +87,7 @@ impl MovingClip {
     fn driver(
         &self,
         deformer: &Deformer,
-        scale: Option<f64>,
+        request: &ClipRequest,
         times: &FrameTimes,
         range: &Range<usize>,
     ) -> Result<RigDriver, Error> {
@@ -96,13 +97,26 @@ impl MovingClip {
             Some(_) => RigDriver::of_skin(rig, clip.clone(), start)?,
             None => {
                 let options = DriveOptions {
-                    scale,
+                    scale: request.scale,
                     reference: None,
                     start,
                 };
                 RigDriver::new(rig, clip.clone(), &options)?
             }
         };
+        let is_recording = matches!(request.clip, ClipSource::Bvh { .. });
+        if request.plant_feet.unwrap_or(is_recording) {
+            let has_feet = driver.plant_feet(rig, start);
+            if !has_feet && request.plant_feet == Some(true) {
+                let problem = match own {
+                    Some(_) => "is true, but the clip is that of the model's own skin, which plays as it is",
+                    None => {
+                        "is true, but no legs of the clip drive bones of the rig: a thigh, and a shin that hangs on it"
+                    }
+                };
+                return Err(RigError::field("plantFeet", problem).into());
+            }
+        }
         check_reach(rig, &driver, times, range)?;
         self.warnings.iter().for_each(|warning| driver.warn(warning.clone()));
         if own.is_none() {
@@ -111,6 +125,21 @@ impl MovingClip {
         driver.warn_of_twists(rig, range.clone().map(|frame| (frame, times.at(frame))));
         Ok(driver)
     }
+}
+
+/// What planted feet do in a range of frames.
+fn feet_of(animation: &Animation, range: &Range<usize>, rest: &[DVec3]) -> Vec<FootFacts> {
+    let times: Vec<f64> = range.clone().map(|frame| animation.times.at(frame)).collect();
+    let space = BoundingBox::of(rest);
+    let height = (space.max.y - space.min.y).max(f64::MIN_POSITIVE);
+    let feet = animation.driver.foot_contacts(&times).into_iter();
+    feet.map(|foot| FootFacts {
+        bone: animation.rig.bones[foot.bone].id.clone(),
+        contacts: foot.contacts,
+        planted: foot.planted,
+        drift: foot.drift.map(|drift| drift / height),
+    })
+    .collect()
 }
 
 /// Finds a clip for a model, and the rig that it drives.

@@ -99,6 +99,20 @@ struct PlayedModel<'a> {
 }
 
 impl PlayedModel<'_> {
+    /// The triangles between vertices that are played, by their numbers among these.
+    fn triangles(&self) -> Vec<[u32; 3]> {
+        let mut number = vec![None; self.rest.len()];
+        (0..)
+            .zip(&self.vertices)
+            .for_each(|(k, vertex)| number[*vertex] = Some(k));
+        let all = &self.animation.derived.topology().geometry().triangles;
+        let renumbered = |t: &[u32; 3]| {
+            let [a, b, c] = t.map(|vertex| number[vertex as usize]);
+            Some([a?, b?, c?])
+        };
+        all.iter().filter_map(renumbered).collect()
+    }
+
     /// When a frame is, in seconds from the first.
     fn seconds(&self, frame: usize) -> f64 {
         frame as f64 / self.animation.times.rate
@@ -405,6 +419,7 @@ fn sequence_of<F: FrameSource>(played: &PlayedModel<'_>, frames: &mut F) -> Resu
     let own = &played.vertices;
     let rest: Vec<DVec3> = own.iter().map(|v| played.rest[*v]).collect();
     let mut sequence = ShapeSequence::new(&rest).map_err(refused)?;
+    sequence.join(&played.triangles());
     for frame in 0..frames.count() {
         let places = frames.positions(frame)?;
         let places: Vec<DVec3> = own.iter().map(|v| places[*v].as_dvec3()).collect();

@@ -48,6 +48,8 @@ pub struct ClipRequest {
     pub frames: FrameChoice,
     /// Model units for one unit of the clip, in place of the rig's.
     pub scale: Option<f64>,
+    /// Whether feet stay where they stand; `None`: of a recording whose legs drive the rig.
+    pub plant_feet: Option<bool>,
     /// How exactly frames are solved; see [`ANIMATION_QUALITY`].
     pub quality: Quality,
 }
@@ -144,6 +146,20 @@ impl FrameChoice {
     }
 }
 
+/// When a foot stands, and how far it slides meanwhile.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FootFacts {
+    /// Its bone in the rig.
+    pub bone: String,
+    /// From when to when it stands, in seconds of the clip.
+    pub contacts: Vec<[f64; 2]>,
+    /// Frames in which it stands.
+    pub planted: usize,
+    /// How far the point that stands moves from frame to frame, in the mean, as a fraction of the model's height: as the clip drives the
+    /// bones, and with feet that are planted.
+    pub drift: [f64; 2],
+}
+
 /// A clip on a model, ready to be solved frame by frame.
 pub struct Animation {
     pub(super) derived: Arc<DerivedStructures>,
@@ -159,6 +175,7 @@ pub struct Animation {
     pub(super) own_clip: Option<usize>,
     /// Primitives that are not solved, where the clip is the model's own and moves them.
     pub(super) left_out: Vec<usize>,
+    pub(super) feet: Vec<FootFacts>,
     facts: Vec<RigHandleFacts>,
     large_faces: Option<DeformerWarning>,
 }
@@ -217,6 +234,7 @@ impl Deformer {
             clip_name: String::new(),
             own_clip: None,
             left_out: Vec::new(),
+            feet: Vec::new(),
             facts,
             large_faces,
         })
@@ -322,6 +340,11 @@ impl Animation {
     /// What each handle of the rig came to hold.
     pub fn handle_facts(&self) -> &[RigHandleFacts] {
         &self.facts
+    }
+
+    /// What the feet do that are kept where they stand, in the frames that are wanted.
+    pub fn feet(&self) -> &[FootFacts] {
+        &self.feet
     }
 
     /// The warning that faces are too large to show the bends between the handles of the rig, if any are.

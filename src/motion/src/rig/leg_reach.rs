@@ -1,0 +1,154 @@
+//! A leg that is turned so that its ankle comes to a place: inverse kinematics of two bones.
+
+use super::legs::Leg;
+use super::rigid_motion::{RigidMotion, rotation_about};
+use glam::{DQuat, DVec3};
+
+/// How much the knee's usual axis counts beside the one about which it is bent; it decides where the leg is straight.
+const USUAL: f64 = 0.1;
+
+/// A leg of a driven rig.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct ReachingLeg {
+    pub(super) leg: Leg,
+    /// Hip, knee and ankle in the rest pose.
+    pub(super) rest: [DVec3; 3],
+    /// The axis about which the knee bends, in the thigh's rest pose, of unit length.
+    pub(super) hinge: DVec3,
+}
+
+impl ReachingLeg {
+    /// Hip, knee and ankle.
+    pub(super) fn joints(&self, world: &[RigidMotion]) -> [DVec3; 3] {
+        let [hip, knee, ankle] = self.rest;
+        let thigh = &world[self.leg.thigh];
+        [thigh.place(hip), thigh.place(knee), world[self.leg.shin].place(ankle)]
+    }
+
+    /// Its length when it is straight.
+    pub(super) fn length(&self) -> f64 {
+        let [hip, knee, ankle] = self.rest;
+        hip.distance(knee) + knee.distance(ankle)
+    }
+
+    /// Turns thigh and shin so that the ankle comes to `target`, or as near as the leg is long. The foot keeps its attitude, and what
+    /// hangs on the bones follows them. `parents` has the bone that each hangs on.
+    pub(super) fn reach(&self, world: &mut [RigidMotion], parents: &[Option<usize>], target: DVec3) {
+        let [hip, knee, ankle] = self.joints(world);
+        let (thigh, shin) = (knee - hip, ankle - knee);
+        let (long, wanted) = (thigh.length() * shin.length(), target - hip);
+        let hinge = world[self.leg.thigh].rotation * self.hinge;
+        let axis = (thigh.cross(shin) / long + hinge * USUAL).normalize_or(hinge);
+        let bend = rotation_about(axis, bend_for(thigh, shin, axis, wanted.length()));
+        let reached = thigh + bend * shin;
+        let (Some(from), Some(to)) = (reached.try_normalize(), wanted.try_normalize()) else {
+            return;
+        };
+        let swing = DQuat::from_rotation_arc(from, to);
+        self.turn(world, parents, [swing, (swing * bend).normalize()]);
+    }
+
+    /// Turns the thigh and the shin by these, and takes along what hangs on them.
+    fn turn(&self, world: &mut [RigidMotion], parents: &[Option<usize>], [thigh, shin]: [DQuat; 2]) {
+        let mut turns: Vec<Option<DQuat>> = vec![None; world.len()];
+        for bone in self.leg.thigh..world.len() {
+            let above = parents[bone].and_then(|parent| turns[parent]);
+            let own = match bone {
+                _ if bone == self.leg.thigh => Some(thigh),
+                _ if bone == self.leg.shin => Some(shin),
+                _ if Some(bone) == self.leg.foot => Some(DQuat::IDENTITY),
+                _ => above,
+            };
+            let Some(turn) = own else { continue };
+            turns[bone] = own;
+            if let Some(parent) = parents[bone].filter(|_| above.is_some()) {
+                world[bone].to = world[parent].place(world[bone].from);
+            }
+            world[bone].rotation = (turn * world[bone].rotation).normalize();
+        }
+    }
+}
+
+/// The angle about `axis` by which the shin has to be turned so that hip and ankle are `apart`; the knee bends to the side to which
+/// it is bent.
+fn bend_for(thigh: DVec3, shin: DVec3, axis: DVec3, apart: f64) -> f64 {
+    let along = thigh.dot(axis) * shin.dot(axis);
+    let across = thigh.dot(shin) - along;
+    let beside = thigh.dot(axis.cross(shin));
+    let most = libm::hypot(across, beside);
+    if most <= 0.0 {
+        return 0.0;
+    }
+    let wanted = 0.5 * (apart * apart - thigh.length_squared() - shin.length_squared()) - along;
+    let straight = libm::atan2(beside, across);
+    let from_straight = libm::acos((wanted / most).clamp(-1.0, 1.0));
+    straight + if straight <= 0.0 { from_straight } else { -from_straight }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ankle_comes_to_its_place_and_bones_keep_their_lengths() {
+        let rest = [DVec3::Y, DVec3::new(0.0, 0.55, 0.0), DVec3::new(0.0, 0.15, 0.0)];
+        let leg = Leg {
+            thigh: 1,
+            shin: 2,
+            foot: Some(3),
+        };
+        let reaching = ReachingLeg {
+            leg,
+            rest,
+            hinge: DVec3::X,
+        };
+        let parents = [None, Some(0), Some(1), Some(2), Some(3), Some(1)];
+        let bent = DQuat::from_rotation_x(-0.4);
+        let posed = |shin: f64| {
+            let mut world = vec![RigidMotion::IDENTITY; 6];
+            let froms = [DVec3::Y, rest[0], rest[1], rest[2], DVec3::new(0.0, 0.0, 0.2), rest[1]];
+            for (bone, from) in froms.into_iter().enumerate() {
+                let to = parents[bone].map_or(from, |p: usize| world[p].place(from));
+                let rotation = [
+                    DQuat::IDENTITY,
+                    bent,
+                    bent * DQuat::from_rotation_x(shin),
+                    DQuat::IDENTITY,
+                ][bone.min(3)];
+                world[bone] = RigidMotion { rotation, from, to };
+            }
+            world
+        };
+        for shin in [0.0, 1e-4, 0.5, 1.2] {
+            for target in [
+                DVec3::new(0.05, 0.25, 0.3),
+                DVec3::new(-0.1, 0.4, -0.1),
+                DVec3::new(0.0, -9.0, 0.0),
+            ] {
+                let mut world = posed(shin);
+                reaching.reach(&mut world, &parents, target);
+                let [hip, knee, ankle] = reaching.joints(&world);
+                assert!((hip.distance(knee) - 0.45).abs() < 1e-12 && (knee.distance(ankle) - 0.40).abs() < 1e-12);
+                let way = target - hip;
+                let nearest = hip + way.normalize() * way.length().min(0.85);
+                assert!(ankle.distance(nearest) < 1e-6, "{ankle} {nearest}");
+                // Knees bend forward, feet stay level, and what hangs on a bone hangs on it still.
+                assert!((ankle - hip).cross(knee - hip).x <= 1e-9, "{knee}");
+                assert!(
+                    world[3].rotation.dot(DQuat::IDENTITY).abs() > 1.0 - 1e-12 && world[3].to.distance(ankle) < 1e-12
+                );
+                assert!(world[4].to.distance(world[3].place(world[4].from)) < 1e-12);
+                assert!(world[5].to.distance(knee) < 1e-12);
+            }
+            let same = posed(shin);
+            let mut world = posed(shin);
+            let here = reaching.joints(&world)[2];
+            reaching.reach(&mut world, &parents, here);
+            let worst = same
+                .iter()
+                .zip(&world)
+                .map(|(a, b)| a.place(DVec3::ONE).distance(b.place(DVec3::ONE)));
+            assert!(worst.fold(0.0, f64::max) < 1e-6, "{shin}");
+        }
+    }
+}
