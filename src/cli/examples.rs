@@ -74,7 +74,9 @@ Examples:
   pliant render bent.glb -o bent.png
   pliant render bent.glb --before model.glb -o both.png --marks 3
   pliant render figure.glb -o head.png --primitive head --primitive eyes
-  pliant render bent.glb -o around.png --turntable 8 --size 400x400";
+  pliant render bent.glb -o around.png --turntable 8 --size 400x400
+  pliant render old.glb new.glb -o sides.png --view front,side,three-quarter
+  pliant render bent.glb --before model.glb --color crossings -o crossing.png --close-up worst";
 
 /// `pliant sample --help`.
 pub(super) const SAMPLE: &str = "\

@@ -7,6 +7,7 @@ mod animate;
 mod audit;
 mod check;
 mod deform;
+mod drawing;
 mod examples;
 mod health;
 mod input_files;

@@ -62,7 +62,7 @@ fn a_cube_comes_in_metres_with_its_faces_normals_coordinates_colours_and_materia
 #[test]
 fn texture_coordinates_count_from_the_upper_left() {
     let model = read(cube().text()).expect("a model");
-    let (_, look) = model.surface_look().expect("readable").expect("it has materials");
+    let look = model.drawn().expect("readable").look;
     // The first corner of the floor: u 0, v 0 from below.
     let at = model.triangles[0][0] as usize;
     let uv = if look.uv.is_empty() { [0.0, 1.0] } else { look.uv[at] };
@@ -195,7 +195,7 @@ fn textures_are_taken_from_beside_the_model_or_from_inside_of_it() {
     let inside = textured(&format!("Content: , \"{content}\""));
     assert_eq!(missing_companions(&FileSet::single("box.fbx", inside.clone())), [""; 0]);
     for model in [beside, read(inside).expect("a model")] {
-        let (_, look) = model.surface_look().expect("readable").expect("it has pictures");
+        let look = model.drawn().expect("readable").look;
         assert_eq!(look.images.len(), 1);
         assert_eq!(look.images[0].as_deref(), Ok(&png[..]));
     }

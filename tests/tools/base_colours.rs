@@ -21,8 +21,13 @@ fn pixel(pixels: &[[u8; 3]], x: usize, y: usize) -> [u8; 3] {
 
 /// A PNG of one row.
 fn row_png(texels: &[[u8; 4]]) -> Vec<u8> {
+    picture_png(texels, texels.len() as u32)
+}
+
+/// A PNG of rows of so many pixels.
+fn picture_png(texels: &[[u8; 4]], width: u32) -> Vec<u8> {
     let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, texels.len() as u32, 1);
+    let mut encoder = png::Encoder::new(&mut bytes, width, texels.len() as u32 / width);
     encoder.set_color(png::ColorType::Rgba);
     let mut writer = encoder.write_header().expect("a header");
     writer.write_image_data(texels.as_flattened()).expect("texels");
@@ -133,6 +138,56 @@ fn textures_lie_where_their_coordinates_say() {
     folder.put("both.gltf", board(&both, &picture));
     let (_, behind) = render_model(&folder, "both.gltf", "--view 180,0");
     assert!(pixel(&behind, 140, 50)[0] > 100, "red on the other side");
+}
+
+#[test]
+fn a_texture_is_the_right_way_up_in_gltf_and_obj() {
+    let folder = Workplace::empty();
+    let picture = picture_png(&[[255, 0, 0, 255], [0, 0, 255, 255]], 1);
+    folder.put("flag.png", &picture);
+    folder.put("board.gltf", board(TEXTURED, "flag.png"));
+    folder.put("board.mtl", "newmtl flag\nmap_Kd flag.png\n");
+    // In OBJ texture coordinates count from below. Its corners need no copies, so that uv and vertices have one order.
+    let corners = "v -2 -1 0\nv 2 -1 0\nv 2 1 0\nv -2 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n";
+    let head = "mtllib board.mtl\nusemtl flag\n";
+    folder.put("board.obj", format!("{head}{corners}f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"));
+    for name in ["board.gltf", "board.obj"] {
+        let (reply, seen) = render_model(&folder, name, "");
+        assert!(!reply.contains("warning"), "{reply}");
+        let [above, below] = [pixel(&seen, 100, 30), pixel(&seen, 100, 70)];
+        // Two texels of an OBJ blend into each other, and by repetition across the border.
+        let is = |p: [u8; 3], strong: usize, weak: usize| p[strong] > 150 && p[weak] < 80 && p[1] == 0;
+        assert!(is(above, 0, 2) && is(below, 2, 0), "{name}: {above:?} {below:?}");
+    }
+}
+
+#[test]
+fn each_material_of_an_obj_is_seen_on_its_own_faces() {
+    let folder = Workplace::empty();
+    folder.put("two.mtl", "newmtl red\nKd 1 0 0\nnewmtl blue\nKd 0 0 1\n");
+    let corners = "v -2 -1 0\nv 0 -1 0\nv 2 -1 0\nv -2 1 0\nv 0 1 0\nv 2 1 0\n";
+    // Faces of both by turns, so that their order and that of what is drawn differ.
+    let faces = "usemtl red\nf 1 2 5\nusemtl blue\nf 2 3 6\nusemtl red\nf 1 5 4\nusemtl blue\nf 2 6 5\n";
+    folder.put("two.obj", format!("mtllib two.mtl\n{corners}{faces}"));
+    let (_, seen) = render_model(&folder, "two.obj", "");
+    for y in [35, 65] {
+        let [left, right] = [pixel(&seen, 60, y), pixel(&seen, 140, y)];
+        assert!(
+            left[0] > 150 && left[2] == 0 && right[2] > 150 && right[0] == 0,
+            "{left:?} {right:?}"
+        );
+    }
+    // Numbers of the file's vertices keep their places: the right end is pulled, which is blue by its material.
+    folder.put(
+        "pulled.obj",
+        format!("mtllib two.mtl\n{}{faces}", corners.replace("v 2 ", "v 4 ")),
+    );
+    let (_, seen) = render_model(&folder, "pulled.obj", "--before two.obj --color stretch");
+    let [still, pulled] = [seen[50 * 400 + 230], seen[50 * 400 + 380]];
+    assert!(
+        pulled[0] > pulled[2] + 60 && still[0] < still[2] + 30,
+        "{still:?} {pulled:?}"
+    );
 }
 
 #[test]

@@ -10,6 +10,7 @@ mod named_files;
 mod outputs;
 mod pages;
 mod render;
+mod shading;
 mod source;
 #[path = "../support/mod.rs"]
 mod support;

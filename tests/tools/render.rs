@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 
 /// Runs `pliant render`, which may replace pictures.
-fn render(folder: &Workplace, arguments: &str) -> Ran {
+pub fn render(folder: &Workplace, arguments: &str) -> Ran {
     folder.run(&format!("render --force {arguments}"))
 }
 
@@ -17,8 +17,8 @@ fn drawn(folder: &Workplace, arguments: &str, name: &str) -> SeenPicture {
 
 /// A picture read back.
 pub struct SeenPicture {
-    width: usize,
-    height: usize,
+    pub width: usize,
+    pub height: usize,
     pub pixels: Vec<[u8; 3]>,
 }
 
@@ -40,12 +40,12 @@ impl SeenPicture {
         }
     }
 
-    fn at(&self, x: usize, y: usize) -> [u8; 3] {
+    pub fn at(&self, x: usize, y: usize) -> [u8; 3] {
         self.pixels[y * self.width + x]
     }
 
     /// Whether something is drawn there: the background has one colour in every row.
-    fn drawn(&self, x: usize, y: usize) -> bool {
+    pub fn drawn(&self, x: usize, y: usize) -> bool {
         self.at(x, y) != self.at(0, y)
     }
 

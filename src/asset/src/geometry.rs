@@ -121,8 +121,11 @@ impl Geometry {
         Ok(())
     }
 
-    /// The same geometry at new positions, normals and tangents carried along.
-    pub(super) fn deformed(&self, positions: &[DVec3]) -> Self {
+    /// The same geometry at new positions, one for each vertex; normals and tangents turn with the shape, as in a file that is written.
+    ///
+    /// # Panics
+    /// When there are more positions than vertices, or fewer.
+    pub fn deformed(&self, positions: &[DVec3]) -> Self {
         let mut moved = self.clone();
         moved.positions.copy_from_slice(positions);
         if !self.normals.is_empty() {

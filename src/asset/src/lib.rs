@@ -46,7 +46,7 @@ pub use following::{
 };
 pub use format::{Error, Format};
 pub use geometry::{Geometry, Primitive, VertexCache};
-pub use look::{AlphaMode, BaseMaterial, SurfaceLook, TextureUse, TextureWrap};
+pub use look::{AlphaMode, BaseMaterial, DrawnModel, SurfaceLook, TextureUse, TextureWrap};
 pub use model::Model;
 pub use moving_scene::{
     CarryingJoints, ChannelInterpolation, ChannelValues, ClipBeside, JointInfluences, MorphClip, MovingScene, NodeKeys,

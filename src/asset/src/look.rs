@@ -1,5 +1,6 @@
 //! What the surface of a model looks like, and materials on their way from one format to another.
 
+use super::Geometry;
 use bytes::Bytes;
 
 /// How texture coordinates beyond 0 to 1 are taken back into the picture.
@@ -88,6 +89,8 @@ pub struct SurfaceLook {
     pub colours: Vec<[f32; 4]>,
     /// The files of the pictures, undecoded, or why there is none.
     pub images: Vec<Result<Bytes, String>>,
+    /// Whether a primitive without normals is flat, as glTF says; other formats say nothing of it.
+    pub is_flat_without_normals: bool,
 }
 
 impl SurfaceLook {
@@ -95,6 +98,62 @@ impl SurfaceLook {
     pub fn is_bare(&self) -> bool {
         self.colours.is_empty() && self.materials.iter().all(BaseMaterial::is_bare)
     }
+}
+
+impl SurfaceLook {
+    /// The look of primitives with these materials, from a format that knows no sides; where a face looks is often left to chance there.
+    pub(super) fn of_materials<'a>(materials: impl IntoIterator<Item = Option<&'a NamedMaterial>>) -> Self {
+        let mut look = Self::default();
+        let mut known: Vec<Option<&NamedMaterial>> = Vec::new();
+        let mut pictures: Vec<&MaterialPicture> = Vec::new();
+        for material in materials {
+            let number = known.iter().position(|k| *k == material).unwrap_or_else(|| {
+                known.push(material);
+                known.len() - 1
+            });
+            look.material_of.push(number as u32);
+        }
+        for material in known {
+            let own = material.and_then(|m| m.look.as_ref());
+            let texture = own.and_then(|own| own.picture.as_ref()).map(|picture| {
+                let image = pictures.iter().position(|p| *p == picture).unwrap_or_else(|| {
+                    pictures.push(picture);
+                    pictures.len() - 1
+                });
+                TextureUse {
+                    image,
+                    wrap: [TextureWrap::Repeat; 2],
+                    nearest: false,
+                }
+            });
+            look.materials.push(BaseMaterial {
+                name: material.map(|m| m.name.clone()).unwrap_or_default(),
+                factor: own.map_or([1.0; 4], |own| own.colour),
+                texture,
+                alpha: own.map_or(AlphaMode::Opaque, |own| own.coverage),
+                double_sided: true,
+                unlit: false,
+            });
+        }
+        let missing = |picture: &MaterialPicture| format!("the picture {:?} is missing", picture.name);
+        let bytes = pictures.into_iter().map(|p| p.bytes.clone().ok_or_else(|| missing(p)));
+        look.images = bytes.collect();
+        look
+    }
+}
+
+/// A drawn model is the surface of a model with its look: where its format has attributes by corner, vertices are copied until all corners
+/// at one are alike, and triangles lie in the order of materials.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct DrawnModel {
+    /// Positions, normals, triangles and primitives.
+    pub geometry: Geometry,
+    /// What they look like.
+    pub look: SurfaceLook,
+    /// For each vertex the one of the model that it is or copies.
+    pub vertices: Vec<u32>,
+    /// For each triangle the one of the model that it is.
+    pub triangles: Vec<u32>,
 }
 
 /// A material on its way from one format to another.

@@ -1,16 +1,15 @@
 //! What a model looks like, what moves in its scene, and its rest pose with the frames of an animation, as a GLB that any engine plays.
 
 use super::formats::{codec_of, writer_of};
-use super::look::SurfaceLook;
+use super::look::{DrawnModel, SurfaceLook};
 use super::moving_scene::{
     ClipBeside, MorphClip, MovingScene, NodeKeys, PlayedClip, PlayedJoint, PrimitiveShapes, SceneClip, SkinnedClip,
 };
 use super::write::neutral_model;
-use super::{Error, FileSet, Format, Limits, Model, WrittenFiles};
+use super::{Error, Format, Limits, Model, WrittenFiles};
 
 impl Model {
-    /// The look of the model, and the model that it describes: for a format that indexes attributes by corner, the GLB
-    /// that would be written, with vertices divided at seams. `None` when the model has no look.
+    /// The surface of the model and its look.
     ///
     /// # Errors
     /// [`Error`] when attributes that are there cannot be read. A problem of a picture is in its place in
@@ -24,30 +23,39 @@ impl Model {
     ///     property uchar red\nproperty uchar green\nproperty uchar blue\nelement face 1\n\
     ///     property list uchar int vertex_indices\nend_header\n0 0 0 255 0 0\n1 0 0 255 0 0\n0 1 0 255 0 0\n3 0 1 2\n";
     /// let model = Model::read(FileSet::single("red.ply", text), None, &Limits::default())?;
-    /// let (drawn, look) = model.surface_look()?.expect("it has vertex colours");
-    /// assert_eq!(drawn.positions, model.positions);
-    /// assert_eq!(look.colours, [[1.0, 0.0, 0.0, 1.0]; 3]);
+    /// let drawn = model.drawn()?;
+    /// assert_eq!(drawn.geometry.positions, model.positions);
+    /// assert_eq!(drawn.look.colours, [[1.0, 0.0, 0.0, 1.0]; 3]);
     /// # Ok::<(), pliant_asset::Error>(())
     /// ```
-    pub fn surface_look(&self) -> Result<Option<(Model, SurfaceLook)>, Error> {
+    pub fn drawn(&self) -> Result<DrawnModel, Error> {
         let codec = codec_of(self.format);
-        let (drawn, look) = match codec.surface_look(self)? {
-            Some(look) => (self.clone(), look),
-            None if codec.takes_attributes() => {
-                let mut files = FileSet::single("look.glb", self.write(&self.positions, Format::GLB)?.main);
-                // A picture that the file names by its path came with the model.
-                files.companions = self.files.companions.clone();
-                let drawn = Model::read(files, Some(Format::GLB), &Limits::default())?;
-                let Some(mut look) = codec_of(Format::GLB).surface_look(&drawn)? else {
-                    return Ok(None);
-                };
-                // These formats know no sides; where a face looks is often left to chance.
-                look.materials.iter_mut().for_each(|m| m.double_sided = true);
-                (drawn, look)
-            }
-            None => return Ok(None),
+        let look = match codec.surface_look(self)? {
+            None if codec.takes_attributes() => return self.drawn_with_copies(),
+            None => SurfaceLook::of_materials(self.primitives.iter().map(|_| None)),
+            Some(look) => look,
         };
-        Ok((!look.is_bare()).then_some((drawn, look)))
+        Ok(DrawnModel {
+            vertices: (0..self.positions.len() as u32).collect(),
+            triangles: (0..self.geometry.triangles.len() as u32).collect(),
+            geometry: self.geometry.clone(),
+            look,
+        })
+    }
+
+    /// As the model would be written as a GLB, with vertices copied at seams.
+    fn drawn_with_copies(&self) -> Result<DrawnModel, Error> {
+        let neutral = neutral_model(self, &self.positions, Format::GLB)?;
+        let materials = neutral.attributes.iter().map(|own| own.material.as_deref());
+        let mut look = SurfaceLook::of_materials(materials);
+        look.uv = neutral.uv;
+        look.colours = neutral.colours;
+        Ok(DrawnModel {
+            geometry: neutral.geometry,
+            look,
+            vertices: neutral.copy_of,
+            triangles: neutral.source_triangles,
+        })
     }
 }
 

@@ -24,6 +24,8 @@ pub(super) struct NeutralModel {
     pub corner_uv: Vec<[f32; 2]>,
     /// For each vertex of added runs the one of the edited model that it is or is a copy of.
     pub copy_of: Vec<u32>,
+    /// For each triangle of added runs the one of the edited model that it is.
+    pub source_triangles: Vec<u32>,
     /// What files beside the model are named after; may be empty.
     pub stem: String,
 }
@@ -85,6 +87,8 @@ pub(super) struct RunPart {
     /// Empty, or one per vertex; zero where there is none.
     pub normals: Vec<Vec3>,
     pub triangles: Vec<[u32; 3]>,
+    /// For each of these triangles the one of the run that it is.
+    pub source_triangles: Vec<u32>,
     /// Per vertex of this part.
     pub attributes: RunAttributes,
 }
@@ -103,6 +107,7 @@ impl RunPart {
             copy_of: (0..run.vertex_count).collect(),
             normals: if has_normals { carried.normals() } else { Vec::new() },
             triangles: carried.triangles,
+            source_triangles: (0..run.triangle_count).collect(),
             attributes,
         }
     }
@@ -212,8 +217,31 @@ impl NeutralModel {
         let here = part.copy_of.iter().map(|&v| own[v as usize]);
         self.push_primitive(&edited.primitive(run).name, here, &part.normals, &part.triangles);
         self.copy_of.extend(part.copy_of.iter().map(|v| run.first_vertex + v));
+        let triangles = part.source_triangles.iter();
+        self.source_triangles.extend(triangles.map(|t| run.first_triangle + t));
         self.push_attributes(part.attributes);
         Ok(())
+    }
+
+    /// Which vertices of the edited model those of a primitive are or are copies of, as runs of a first one and a count; `None` where
+    /// they are those of the same numbers.
+    pub fn source_runs(&self, vertices: Range<usize>) -> Option<Vec<[u32; 2]>> {
+        let sources = self.copy_of.get(vertices.clone())?;
+        if sources
+            .iter()
+            .zip(vertices)
+            .all(|(&source, own)| source as usize == own)
+        {
+            return None;
+        }
+        let mut runs: Vec<[u32; 2]> = Vec::new();
+        for &source in sources {
+            match runs.last_mut() {
+                Some([first, count]) if *first + *count == source => *count += 1,
+                _ => runs.push([source, 1]),
+            }
+        }
+        Some(runs)
     }
 
     /// The texture coordinates of a corner of a primitive, by corner or by vertex; `None` where it has none.

@@ -2,11 +2,13 @@
 //!
 //! This file reads arguments and runs; [`output`] names the outputs. [`numbered`] writes each frame as a model. For one file,
 //! [`gathered`] collects frames in a partial file, so that a stopped animation can go on, and then writes a point cache or a GLB
-//! ([`crate::engine::Animation::write_clip`] makes it). [`pictures`] draws frames, with the shapes of another method if asked.
+//! ([`crate::engine::Animation::write_clip`] makes it). [`pictures`] draws frames as [`picture_args`] says, with the shapes of
+//! another method if asked.
 
 mod gathered;
 mod numbered;
 mod output;
+mod picture_args;
 mod pictures;
 mod play;
 

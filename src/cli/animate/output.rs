@@ -2,7 +2,8 @@
 
 use super::gathered::{GatheredFrames, GatheredKind};
 use super::numbered::NumberedFrames;
-use super::pictures::{FramePicture, FramePictureArgs, PicturedFrames};
+use super::picture_args::{FramePicture, FramePictureArgs};
+use super::pictures::PicturedFrames;
 use super::play::{FrameTaker, MeasuredFrames, PlayedAnimation};
 use crate::asset::{FileSet, Format, VertexCache};
 use crate::cli::output_files::{OutputPermission, spare_companions};
@@ -168,7 +169,7 @@ impl AnimationOutputArgs {
             (
                 self.pictures.is_given(),
                 is_picture,
-                "--tiles, --rest, --tile, --view, --color, --beside and --close-up are for .png and .apng",
+                "--tiles, --rest, --tile, --view, --up, --normals, --color, --beside and --close-up are for .png and .apng",
             ),
         ] {
             if is_given && !fits {

@@ -9,6 +9,7 @@ use glam::DVec3;
 use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
 use rayon::prelude::*;
+use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 
 /// Triangles looked at in one piece of work.
 const BLOCK: usize = 16;
@@ -28,8 +29,70 @@ const BLOCK: usize = 16;
 /// # Panics
 /// When a triangle names a position that does not exist. Triangles of a [`super::Mesh`] never do.
 pub fn self_intersections(positions: &[DVec3], triangles: &[[u32; 3]], exec: &Exec<'_>) -> Result<u64, Cancelled> {
+    let count = AtomicU64::new(0);
+    let count_one = |_, _| {
+        count.fetch_add(1, Ordering::Relaxed);
+    };
+    visit_crossings(positions, triangles, &count_one, exec)?;
+    Ok(count.into_inner())
+}
+
+/// What a triangle of a surface crosses.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
+pub enum Crossing {
+    /// No other one.
+    #[default]
+    None,
+    /// Others, each of which it crosses in the rest pose too.
+    AtRest,
+    /// One that it does not cross in the rest pose.
+    New,
+}
+
+/// Finds which triangles cross others, by the rule of [`self_intersections`]. With positions in the rest pose, of the same vertices, a pair that
+/// crosses there too is not new. Without, all are.
+///
+/// # Errors
+/// [`Cancelled`] when `progress` says so.
+///
+/// # Panics
+/// When a triangle names a position that does not exist, in either pose.
+pub fn crossing_triangles(
+    positions: &[DVec3],
+    rest: Option<&[DVec3]>,
+    triangles: &[[u32; 3]],
+    exec: &Exec<'_>,
+) -> Result<Vec<Crossing>, Cancelled> {
+    let rest: Option<Vec<DVec3>> = rest.map(|rest| rest.iter().map(|p| p.as_vec3().as_dvec3()).collect());
+    let found: Vec<AtomicU8> = triangles.iter().map(|_| AtomicU8::new(0)).collect();
+    let note = |f: u32, g: u32| {
+        let is_old = rest.as_ref().is_some_and(|rest| {
+            let [a, b] = [f.min(g), f.max(g)].map(|t| triangles[t as usize]);
+            do_cross(rest, a, b)
+        });
+        for t in [f, g] {
+            // The largest of all that are noted does not depend on their order.
+            found[t as usize].fetch_max(if is_old { 1 } else { 2 }, Ordering::Relaxed);
+        }
+    };
+    visit_crossings(positions, triangles, &note, exec)?;
+    let of_number = |number: AtomicU8| match number.into_inner() {
+        0 => Crossing::None,
+        1 => Crossing::AtRest,
+        _ => Crossing::New,
+    };
+    Ok(found.into_iter().map(of_number).collect())
+}
+
+/// Hands each pair of triangles that cross to `visit` once, from any thread and in any order.
+fn visit_crossings(
+    positions: &[DVec3],
+    triangles: &[[u32; 3]],
+    visit: &(impl Fn(u32, u32) + Sync),
+    exec: &Exec<'_>,
+) -> Result<(), Cancelled> {
     if triangles.len() < 2 {
-        return Ok(0);
+        return Ok(());
     }
     exec.pool.install(|| {
         let points: Vec<DVec3> = positions.par_iter().map(|p| p.as_vec3().as_dvec3()).collect();
@@ -37,15 +100,16 @@ pub fn self_intersections(positions: &[DVec3], triangles: &[[u32; 3]], exec: &Ex
         exec.check()?;
         (0..triangles.len().div_ceil(BLOCK))
             .into_par_iter()
-            .map(|block| {
+            .try_for_each(|block| {
                 let mut places = block * BLOCK..((block + 1) * BLOCK).min(triangles.len());
                 // A triangle meets every other one at worst.
-                places.try_fold(0, |count, place| {
+                places.try_for_each(|place| {
                     exec.check()?;
-                    Ok(count + surface.count_crossings(place))
+                    let order = surface.bvh.triangle_order();
+                    surface.for_crossings(place, place + 1, |other| visit(order[place], order[other]));
+                    Ok(())
                 })
             })
-            .sum()
     })
 }
 
@@ -132,13 +196,6 @@ impl<'a> BoxedTriangles<'a> {
         let places = (0..triangles.len()).into_par_iter();
         let boxes = places.map(|place| BoundingBox::of(&bvh.corners(place))).collect();
         Self { bvh, boxes }
-    }
-
-    /// Counts the triangles at later places that cross the one at `place`.
-    fn count_crossings(&self, place: usize) -> u64 {
-        let mut count = 0;
-        self.for_crossings(place, place + 1, |_| count += 1);
-        count
     }
 
     /// Calls for the triangles at places from `from` on that cross the one at `place`.
@@ -267,6 +324,25 @@ mod tests {
         // Folded flat onto its neighbour across an edge: never counted.
         let folded = with(&[[3., 3., 0.]]);
         assert_eq!(count(&folded, &[[0, 1, 2], [1, 2, 3]]), 0);
+    }
+
+    #[test]
+    fn triangles_that_cross_are_named_and_old_pairs_told_apart() {
+        let flat = [[0., 0., 0.], [4., 0., 0.], [0., 4., 0.]];
+        let blade = |x: f64| [[x, 1., -1.], [x, 1., 1.], [x + 1., 1., 1.]];
+        let with = |blades: [f64; 2]| points(&[flat, blade(blades[0]), blade(blades[1])].concat());
+        let triangles = [[0, 1, 2], [3, 4, 5], [6, 7, 8]];
+        let pool = pool();
+        let exec = Exec::new(&pool, &Silent);
+        let found = |now, rest: Option<&[DVec3]>| crossing_triangles(now, rest, &triangles, &exec).expect("no cancel");
+        use Crossing::{AtRest, New, None as Apart};
+        let (one, other, both) = (with([1.0, 9.0]), with([9.0, 1.0]), with([1.0, 0.5]));
+        assert_eq!(found(&one, None), [New, New, Apart]);
+        assert_eq!(found(&one, Some(&one)), [AtRest, AtRest, Apart]);
+        // Of the two that cross the first triangle, one did so before.
+        assert_eq!(found(&both, Some(&one)), [New, AtRest, New]);
+        // The first triangle crossed another one before: that pair is new.
+        assert_eq!(found(&one, Some(&other)), [New, New, Apart]);
     }
 
     /// Sheets of n × n cells in planes that cross at a right angle along a line between grid lines.

@@ -4,6 +4,7 @@
 //! alone.
 
 use glam::Vec3;
+use pliant_mesh::Crossing;
 
 /// A colour as a screen takes it: sRGB, red, green, blue.
 pub type Rgb = [u8; 3];
@@ -20,6 +21,15 @@ pub(super) fn linear_from_hex(hex: u32) -> Vec3 {
         linear as f32
     };
     Vec3::new(channel(16), channel(8), channel(0))
+}
+
+/// The colour that marks a triangle by what it crosses, as linear light: amber, red, or none.
+pub fn crossing_colour(crossing: Crossing) -> Option<Vec3> {
+    match crossing {
+        Crossing::None => None,
+        Crossing::AtRest => Some(linear_from_hex(0xf0_b0_20)),
+        Crossing::New => Some(linear_from_hex(0xe0_10_18)),
+    }
 }
 
 /// Steps of linear light that a [`SrgbTable`] resolves.

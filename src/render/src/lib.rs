@@ -34,15 +34,15 @@ mod texture;
 mod view_sheet;
 
 pub use camera::{Camera, PictureSize, UpAxis, ViewDirection};
-pub use colour::{ColourRamp, Rgb};
+pub use colour::{ColourRamp, Rgb, crossing_colour};
 pub use colour_key::ColourKey;
 pub use dress::{STRETCH_RANGE, SurfaceDress, edge_stretch, vertex_displacements};
-pub use picture::{Picture, encode_moving_png};
+pub use picture::{INK, Picture, encode_moving_png};
 pub use raster::{background_end, draw_surface};
 pub use ring_mark::{BoneMarks, POSITION_COLOUR, ROTATION_COLOUR, RingMark};
 pub use surface::{DrawnBall, ShadedSurface, open_surface};
 pub use texture::Texture;
-pub use view_sheet::ViewSheet;
+pub use view_sheet::{CloseView, SheetShape, ViewSheet, sheet_columns};
 
 /// Why something cannot be drawn.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

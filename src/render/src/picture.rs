@@ -4,7 +4,7 @@ use super::colour::Rgb;
 use super::{Error, font};
 
 /// The colour of words and numbers on a picture.
-pub(super) const INK: Rgb = [52, 58, 66];
+pub const INK: Rgb = [52, 58, 66];
 
 /// A picture is rows of pixels, from the upper left corner.
 #[derive(Debug, Clone, PartialEq, Eq)]

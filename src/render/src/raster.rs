@@ -20,11 +20,14 @@ const BAND: usize = 16;
 const NOTHING: u32 = u32::MAX;
 /// How far outside a triangle, as a share of it, a sample still counts, so that no gap shows between two.
 const SLACK: f64 = 1e-9;
+/// Share of the colour of a marked triangle that is seen through what is before it.
+const THROUGH: f32 = 0.35;
 /// Width of a drawn edge in pixels.
 const WIRE: f64 = 1.0;
 
 /// sRGB of a surface without colours, and of the background from top to bottom.
 const CLAY: u32 = 0xe6_df_d4;
+const UNMARKED: u32 = 0xe4_e6_e9;
 const SKY: [u32; 2] = [0xfa_fb_fc, 0xdc_e1_e7];
 
 /// The colour of the background at its lower end.
@@ -60,6 +63,41 @@ struct RasterScene<'a> {
     screen: SrgbTable,
     sky: [Vec3; 2],
     clay: Vec3,
+    /// The colour of triangles that are not marked, where others are.
+    unmarked: Vec3,
+}
+
+/// The nearest of the triangles that are marked, in each sample of a band.
+struct MarkedSamples<'a> {
+    marks: &'a [Option<Vec3>],
+    nearest: Vec<(f64, u32)>,
+}
+
+impl<'a> MarkedSamples<'a> {
+    fn new(marks: Option<&'a [Option<Vec3>]>, samples: usize) -> Self {
+        let count = if marks.is_some() { samples } else { 0 };
+        Self {
+            marks: marks.unwrap_or_default(),
+            nearest: vec![(f64::NEG_INFINITY, NOTHING); count],
+        }
+    }
+
+    fn note(&mut self, triangle: usize, sample: usize, depth: f64) {
+        if let Some(Some(_)) = self.marks.get(triangle)
+            && depth > self.nearest[sample].0
+        {
+            self.nearest[sample] = (depth, triangle as u32);
+        }
+    }
+
+    /// The light of a sample in which a triangle is seen.
+    fn shine_through(&self, sample: usize, seen: u32, light: Vec3) -> Vec3 {
+        let behind = self.nearest.get(sample).filter(|(_, t)| *t != NOTHING);
+        match behind.map(|(_, t)| self.marks[*t as usize]) {
+            Some(Some(colour)) if self.marks[seen as usize].is_none() => light.lerp(colour, THROUGH),
+            _ => light,
+        }
+    }
 }
 
 impl<'a> RasterScene<'a> {
@@ -88,6 +126,7 @@ impl<'a> RasterScene<'a> {
             screen: SrgbTable::new(),
             sky: SKY.map(linear_from_hex),
             clay: linear_from_hex(CLAY),
+            unmarked: linear_from_hex(UNMARKED),
         }
     }
 
@@ -97,6 +136,7 @@ impl<'a> RasterScene<'a> {
         let (top, bottom) = (first * SAMPLES, (first + rows) * SAMPLES);
         let mut depth = vec![f64::NEG_INFINITY; wide * (bottom - top)];
         let mut seen = vec![NOTHING; depth.len()];
+        let mut marked = MarkedSamples::new(self.surface.face_marks(), depth.len());
         for (t, [low, high]) in self.rows.iter().enumerate() {
             if *high <= top as i32 || *low >= bottom as i32 {
                 continue;
@@ -121,6 +161,7 @@ impl<'a> RasterScene<'a> {
                         continue;
                     }
                     let z = weights[0] * corners[0].z + weights[1] * corners[1].z + weights[2] * corners[2].z;
+                    marked.note(t, row + x, z);
                     if z > depth[row + x] && gaps.as_ref().is_none_or(|d| d.is_seen(weights, x, y)) {
                         depth[row + x] = z;
                         seen[row + x] = t as u32;
@@ -138,7 +179,7 @@ impl<'a> RasterScene<'a> {
                         let (sx, sy) = (x * SAMPLES + across, y * SAMPLES + down);
                         sum += match seen[sy * wide + sx] {
                             NOTHING => sky,
-                            t => self.shade_sample(t as usize, sx, top + sy),
+                            t => marked.shine_through(sy * wide + sx, t, self.shade_sample(t as usize, sx, top + sy)),
                         };
                     }
                 }
@@ -185,12 +226,14 @@ impl<'a> RasterScene<'a> {
             let shade = if dressed.is_unlit() { 1.0 } else { shade_dressed(normal) };
             return self.with_wires(light * shade, &share, weights);
         }
-        let mut lit = match self.surface.colours() {
-            Some(colours) => {
+        let mark = self.surface.face_marks().map(|marks| marks[t].unwrap_or(self.unmarked));
+        let mut lit = match (mark, self.surface.colours()) {
+            (Some(colour), _) => shade_matt(normal) * colour,
+            (None, Some(colours)) => {
                 let [p, q, r] = self.surface.triangles()[t].map(|v| colours[v as usize]);
                 shade_matt(normal) * (p * a + q * b + r * c)
             }
-            None => shade_clay(normal, self.clay),
+            (None, None) => shade_clay(normal, self.clay),
         };
         if behind {
             lit *= Vec3::new(0.55, 0.47, 0.43);

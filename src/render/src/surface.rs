@@ -12,6 +12,7 @@ use glam::{DVec3, Vec3};
 use pliant_exec::pool::Pool;
 use pliant_mesh::{Lists, Mesh, Weld};
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Cosine of the angle between faces beyond which the edge between them is drawn sharp: 40°.
 const CREASE: f64 = 0.766;
@@ -26,7 +27,9 @@ pub struct ShadedSurface {
     normals: Vec<[Vec3; 3]>,
     inside_out: bool,
     colours: Vec<Vec3>,
-    dress: Option<SurfaceDress>,
+    /// For each triangle the colour that marks it; empty without.
+    face_marks: Vec<Option<Vec3>>,
+    dress: Option<Arc<SurfaceDress>>,
     wires: bool,
 }
 
@@ -70,6 +73,7 @@ impl ShadedSurface {
             inside_out: volume < -1e-3 * area * area.sqrt(),
             mesh,
             colours: Vec::new(),
+            face_marks: Vec::new(),
             dress: None,
             wires: false,
         })
@@ -94,9 +98,57 @@ impl ShadedSurface {
         Ok(self)
     }
 
+    /// Marks triangles: for every triangle that [`ShadedSurface::new`] was given its colour as linear light, `None` for one that is not
+    /// marked. Those are light; marked ones shine through them a little, so that none is missed behind others.
+    ///
+    /// # Errors
+    /// [`Error::Count`] when there are fewer than triangles.
+    pub fn with_marked_faces(mut self, marks: &[Option<Vec3>]) -> Result<Self, Error> {
+        let of = |&source: &u32| marks.get(source as usize).copied();
+        let found: Option<Vec<Option<Vec3>>> = self.mesh.source_triangle.iter().map(of).collect();
+        self.face_marks = found.ok_or(Error::Count {
+            what: "marks of triangles",
+            seen: marks.len(),
+            vertices: self.vertices,
+        })?;
+        Ok(self)
+    }
+
+    /// Shades the surface by normals of the model: one for every vertex that [`ShadedSurface::new`] was given, zero where the model
+    /// has none. `triangles` are those that it was given. Without a normal, a corner is flat if `is_flat`, else shaded by the
+    /// faces around it.
+    ///
+    /// # Errors
+    /// [`Error::Count`] when there are normals, but not one for each vertex.
+    pub fn with_normals(mut self, normals: &[Vec3], triangles: &[[u32; 3]], is_flat: bool) -> Result<Self, Error> {
+        if !normals.is_empty() && normals.len() != self.vertices {
+            return Err(Error::Count {
+                what: "normals",
+                seen: normals.len(),
+                vertices: self.vertices,
+            });
+        }
+        let mesh = &self.mesh;
+        for ((own, t), &source) in self.normals.iter_mut().zip(&mesh.triangles).zip(&mesh.source_triangle) {
+            let Some(corners) = triangles.get(source as usize) else {
+                continue;
+            };
+            let flat = if is_flat {
+                face_normal(t.map(|v| mesh.positions[v as usize]))
+            } else {
+                None
+            };
+            for (normal, &v) in own.iter_mut().zip(corners) {
+                let given = normals.get(v as usize).and_then(|n| n.try_normalize());
+                *normal = given.or(flat).unwrap_or(*normal);
+            }
+        }
+        Ok(self)
+    }
+
     /// Shows the surface in base colours of its own. The dress must be that of the triangles that it was made of.
     #[must_use]
-    pub fn with_dress(mut self, dress: SurfaceDress) -> Self {
+    pub fn with_dress(mut self, dress: Arc<SurfaceDress>) -> Self {
         self.dress = Some(dress);
         self
     }
@@ -131,8 +183,13 @@ impl ShadedSurface {
         (!self.colours.is_empty()).then_some(self.colours.as_slice())
     }
 
+    /// The colour that marks each triangle, where triangles are marked.
+    pub(super) fn face_marks(&self) -> Option<&[Option<Vec3>]> {
+        (!self.face_marks.is_empty()).then_some(self.face_marks.as_slice())
+    }
+
     pub(super) fn dress(&self) -> Option<&SurfaceDress> {
-        self.dress.as_ref()
+        self.dress.as_deref()
     }
 
     /// Which of the triangles that the surface was made of a triangle is.
@@ -143,6 +200,13 @@ impl ShadedSurface {
     pub(super) fn has_wires(&self) -> bool {
         self.wires
     }
+}
+
+/// The unit normal of a face; `None` where it has no area.
+fn face_normal([a, b, c]: [DVec3; 3]) -> Option<Vec3> {
+    let (p, q) = (b - a, c - a);
+    let size = p.abs().max(q.abs()).max_element();
+    (p / size).cross(q / size).try_normalize().map(|n| n.as_vec3())
 }
 
 /// Computes for every corner the mean normal of the faces around its vertex that are nearly parallel to its own; zero where a face has

@@ -69,6 +69,13 @@ pub(super) fn build(neutral: &NeutralModel, format: Format) -> Result<WrittenFil
     Ok(WrittenFiles::of(main, companions))
 }
 
+/// The member of a mesh that says which vertices of the source its own are, where they are not those of the same numbers.
+fn source_map(neutral: &NeutralModel, own: &NeutralPrimitive<'_>) -> Option<(&'static str, String)> {
+    let runs = neutral.source_runs(own.vertices.clone())?;
+    let runs = json_array(runs.iter().map(json_array));
+    Some(("extras", json_object([("sourceVertices", runs)])))
+}
+
 /// The member of a node or mesh that names it.
 fn name_of(primitive: &Primitive) -> Option<(&'static str, String)> {
     (!primitive.name.is_empty()).then(|| ("name", quoted(&primitive.name)))
@@ -141,9 +148,10 @@ impl BuiltAsset {
         ];
         let material = material.map(|number| ("material", number.to_string()));
         let drawn = json_object(drawn.into_iter().chain(material));
-        let primitives = [("primitives", json_array([drawn]))];
-        self.meshes
-            .push(json_object(primitives.into_iter().chain(name_of(primitive))));
+        let mut mesh = vec![("primitives", json_array([drawn]))];
+        mesh.extend(name_of(primitive));
+        mesh.extend(source_map(neutral, own));
+        self.meshes.push(json_object(mesh));
         Ok(())
     }
 

@@ -117,7 +117,10 @@ pub(super) fn surface_look(model: &Model, notes: &GltfNotes) -> Result<SurfaceLo
         samplers: list("samplers"),
     };
     let images = list("images");
-    let mut look = SurfaceLook::default();
+    let mut look = SurfaceLook {
+        is_flat_without_normals: true,
+        ..SurfaceLook::default()
+    };
     let mut numbers: BTreeMap<Option<usize>, u32> = BTreeMap::new();
     let mut in_use: Vec<MaterialInUse> = Vec::new();
     for row in &notes.rows {

@@ -13,7 +13,7 @@ use crate::look::NamedMaterial;
 use crate::neutral::{RunAttributes, RunPart};
 use crate::vertex_attributes::{AttributeKeys, hash_bytes, hash_numbers, normal_key};
 use crate::{Error, Model, WrittenFiles};
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use pliant_mesh::mix_bits;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -305,57 +305,102 @@ fn material_named(library: &MaterialLibrary, line: &[u8]) -> Arc<NamedMaterial> 
     known.unwrap_or_else(|| Arc::new(NamedMaterial::of_name(name)))
 }
 
-/// A run with its vertices parted where texture coordinates, normals or materials part, one for each material.
+/// A run with its vertices parted where texture coordinates, normals or materials part, one part for each material. Vertices and triangles
+/// keep their order; copies of vertices follow. A run of one material has all of its vertices, those that no triangle uses too.
 pub(super) fn seam_parts(edited: &EditedModel<'_>, run: &PrimitiveRun, positions: &[DVec3]) -> Vec<RunPart> {
     let model = edited.base(run).model;
     let statements = read_statements(&model.files.main);
     let parted = divide_corners(edited, run, positions, &statements);
     let library = read_libraries(&model.files, &statements.libraries);
-    let mut of_material: BTreeMap<Option<&[u8]>, Vec<usize>> = BTreeMap::new();
-    for (i, state) in parted.states.iter().enumerate() {
+    let mut of_material: BTreeMap<Option<&[u8]>, Vec<u32>> = BTreeMap::new();
+    for (state, i) in parted.states.iter().zip(0..) {
         of_material.entry(state.material).or_default().push(i);
     }
     // In the order in which the text first uses them.
     let mut groups: Vec<_> = of_material.into_iter().collect();
     groups.sort_by_key(|(_, triangles)| triangles.first().copied());
-    let one = |(material, triangles): (Option<&[u8]>, Vec<usize>)| {
-        let with_uv = triangles.iter().any(|&t| parted.corner_textures[t].is_some());
-        let with_normals = triangles.iter().any(|&t| parted.corner_normals[t].is_some());
-        let mut seamed = RunPart::default();
-        seamed.attributes.material = material.map(|line| material_named(&library, line));
-        let mut known: BTreeMap<(u32, u32, u32), u32> = BTreeMap::new();
-        for t in triangles {
-            let corner = |k: usize| {
-                let texture = parted.corner_textures[t].map_or(u32::MAX, |c| c[k]);
-                let normal = parted.corner_normals[t].map_or(u32::MAX, |c| c[k]);
-                (parted.triangles[t][k], texture, normal)
-            };
-            let triangle = [0, 1, 2].map(|k| {
-                let here = corner(k);
-                *known.entry(here).or_insert_with(|| {
-                    let (vertex, texture, normal) = here;
-                    seamed.copy_of.push(vertex);
-                    if with_uv {
-                        let numbers = parted
-                            .textures
-                            .get(texture as usize)
-                            .map(TextureCoordinate::numbers)
-                            .unwrap_or_default();
-                        let at = |i: usize| numbers.get(i).map_or(0.0, |v| *v as f32);
-                        seamed.attributes.uv.push([at(0), 1.0 - at(1)]);
-                    }
-                    if with_normals {
-                        let value = parted.normals.get(normal as usize).map(|n| n.value);
-                        seamed.normals.push(value.unwrap_or_default());
-                    }
-                    seamed.copy_of.len() as u32 - 1
-                })
-            });
-            seamed.triangles.push(triangle);
-        }
-        seamed
+    let uv: Vec<[f32; 2]> = parted.textures.iter().map(pair_of).collect();
+    let is_whole = groups.len() == 1;
+    let one = |(material, triangles): (Option<&[u8]>, Vec<u32>)| {
+        let vertices = if is_whole {
+            (0..run.vertex_count).collect()
+        } else {
+            let corners = triangles.iter().flat_map(|&t| parted.triangles[t as usize]);
+            let mut used: Vec<u32> = corners.collect();
+            used.sort_unstable();
+            used.dedup();
+            used
+        };
+        let mut part = seam_part(&parted, &uv, vertices, triangles);
+        part.attributes.material = material.map(|line| material_named(&library, line));
+        part
     };
     groups.into_iter().map(one).collect()
+}
+
+/// A texture coordinate, counted from the upper left corner of the picture.
+fn pair_of(texture: &TextureCoordinate<'_>) -> [f32; 2] {
+    let numbers = texture.numbers();
+    let at = |i: usize| numbers.get(i).map_or(0.0, |v| *v as f32);
+    [at(0), 1.0 - at(1)]
+}
+
+/// The part of a run that has these triangles; `vertices` are those that it uses, in rising order. Texture coordinates are compared by
+/// value; normals by their line, since two lines of one value may part as the shape changes.
+fn seam_part(parted: &CornerAttributes<'_>, all_uv: &[[f32; 2]], vertices: Vec<u32>, triangles: Vec<u32>) -> RunPart {
+    let with_uv = triangles.iter().any(|&t| parted.corner_textures[t as usize].is_some());
+    let with_normals = triangles.iter().any(|&t| parted.corner_normals[t as usize].is_some());
+    let first = vertices.len();
+    // What the first corner at each vertex has; other corners get copies.
+    let mut taken: Vec<Option<([u32; 2], u32)>> = vec![None; first];
+    let mut copies: BTreeMap<(u32, [u32; 2], u32), u32> = BTreeMap::new();
+    let mut part = RunPart {
+        copy_of: vertices,
+        ..RunPart::default()
+    };
+    if with_uv {
+        part.attributes.uv.resize(first, [0.0; 2]);
+    }
+    if with_normals {
+        part.normals.resize(first, Vec3::ZERO);
+    }
+    for &t in &triangles {
+        let t = t as usize;
+        let triangle: [u32; 3] = std::array::from_fn(|k| {
+            let vertex = parted.triangles[t][k];
+            let own = part.copy_of[..first].binary_search(&vertex).unwrap_or_default() as u32;
+            let uv = parted.corner_textures[t].and_then(|c| all_uv.get(c[k] as usize).copied());
+            let uv = uv.unwrap_or_default();
+            let shade = parted.corner_normals[t].map_or(u32::MAX, |c| c[k]);
+            let normal = parted.normals.get(shade as usize).map(|n| n.value).unwrap_or_default();
+            let here = (uv.map(f32::to_bits), shade);
+            let known = taken[own as usize].get_or_insert_with(|| {
+                if let Some(place) = part.attributes.uv.get_mut(own as usize) {
+                    *place = uv;
+                }
+                if let Some(place) = part.normals.get_mut(own as usize) {
+                    *place = normal;
+                }
+                here
+            });
+            if *known == here {
+                return own;
+            }
+            *copies.entry((own, here.0, here.1)).or_insert_with(|| {
+                part.copy_of.push(vertex);
+                if with_uv {
+                    part.attributes.uv.push(uv);
+                }
+                if with_normals {
+                    part.normals.push(normal);
+                }
+                part.copy_of.len() as u32 - 1
+            })
+        });
+        part.triangles.push(triangle);
+    }
+    part.source_triangles = triangles;
+    part
 }
 
 /// The numbers after the coordinates of vertices; and of each corner its texture coordinates, its normal where vertices have

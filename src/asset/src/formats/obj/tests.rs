@@ -251,6 +251,77 @@ fn a_fresh_file_keeps_names_normals_and_order() {
     );
 }
 
+/// A model as a GLB, read again, with the vertex of the source that its file says each vertex is.
+fn as_glb(model: &Model) -> (Model, Vec<u32>) {
+    let written = model.write(&model.positions, Format::GLB).expect("writable").main;
+    let length = u32::from_le_bytes(written[12..16].try_into().expect("four bytes")) as usize;
+    let json: serde_json::Value = serde_json::from_slice(&written[20..20 + length]).expect("JSON");
+    let glb = Model::read(FileSet::single("x.glb", written), None, &Limits::default()).expect("valid");
+    let mut sources = Vec::new();
+    for (mesh, own) in json["meshes"].as_array().expect("meshes").iter().zip(&glb.primitives) {
+        match mesh["extras"]["sourceVertices"].as_array() {
+            None => sources.extend(own.vertices().map(|v| v as u32)),
+            Some(runs) => {
+                for run in runs {
+                    let [first, count] = [0, 1].map(|k| run[k].as_u64().expect("a number") as u32);
+                    sources.extend(first..first + count);
+                }
+            }
+        }
+    }
+    (glb, sources)
+}
+
+#[test]
+fn a_glb_keeps_the_order_of_vertices_and_triangles() {
+    // Faces name vertices from the last to the first, and vertex 2 is in none.
+    let plain = model("v 0 0 0\nv 1 0 0\nv 9 9 9\nv 0 1 0\nv 1 1 1\nf 5 4 2\nf 4 1 2\n");
+    let (glb, sources) = as_glb(&plain);
+    assert_eq!((&glb.positions, &glb.triangles), (&plain.positions, &plain.triangles));
+    assert_eq!(sources, [0, 1, 2, 3, 4]);
+    let ends = "property list uchar int vertex_indices\nend_header\n";
+    let ply = format!(
+        "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\nelement face 2\n{ends}\
+         0 0 0\n1 0 0\n0 1 0\n1 1 1\n3 3 2 1\n3 2 0 1\n"
+    );
+    let off = "OFF\n4 2 0\n0 0 0\n1 0 0\n0 1 0\n1 1 1\n3 3 2 1\n3 2 0 1\n";
+    for (name, text) in [("a.ply", ply.as_str()), ("a.off", off)] {
+        let read = Model::read(FileSet::single(name, text.to_owned()), None, &Limits::default()).expect("a model");
+        let (glb, _) = as_glb(&read);
+        assert_eq!(
+            (&glb.positions, &glb.triangles),
+            (&read.positions, &read.triangles),
+            "{name}"
+        );
+    }
+}
+
+#[test]
+fn copies_at_seams_follow_the_vertices_and_the_file_says_of_what() {
+    let corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 1\nvt 0 0\nvt 1 0\nvt 0 1\nvt .5 .5\nvt 1 0\n";
+    // Vertex 3 has another coordinate in the second face; that of vertex 2 is written twice.
+    let seam = model(&format!("{corners}f 4/1 3/3 2/2\nf 3/4 1/1 2/5\n"));
+    let (glb, sources) = as_glb(&seam);
+    assert_eq!((glb.positions.len(), &glb.positions[..4]), (5, &seam.positions[..]));
+    assert_eq!(
+        (sources.as_slice(), glb.triangles.as_slice()),
+        (&[0, 1, 2, 3, 2][..], &[[3, 2, 1], [4, 0, 1]][..])
+    );
+
+    // One part for each material, each in the order of the file.
+    let parted = model(&format!(
+        "{corners}usemtl b\nf 4 3 2\nusemtl a\nf 3 1 2\nusemtl b\nf 1 4 2\n"
+    ));
+    let (glb, sources) = as_glb(&parted);
+    assert_eq!(sources, [0, 1, 2, 3, 0, 1, 2]);
+    assert_eq!(glb.triangles, [[3, 2, 1], [0, 3, 1], [6, 4, 5]]);
+    let drawn = parted.drawn().expect("drawable");
+    assert_eq!((drawn.vertices, drawn.triangles), (sources.clone(), vec![0, 2, 1]));
+    for (place, &source) in glb.positions.iter().zip(&sources) {
+        assert_eq!(*place, parted.positions[source as usize]);
+    }
+}
+
 /// A face as vertex and normal, each an index that is written absolute, or relative to what stands above.
 type RandomFace = [(prop::sample::Index, prop::sample::Index, bool); 3];
 

@@ -56,7 +56,7 @@ fn one_odd_field_leaves_the_rest_of_a_material_as_it_is() {
     }
     for normals in ["{}", r#""x""#, r#"{"index":-1}"#] {
         let model = painted(&first(&format!(r#""normalTexture":{normals}"#)), "wood.png");
-        let (_, look) = model.surface_look().expect("readable").expect("a material");
+        let look = model.drawn().expect("readable").look;
         let material = &look.materials[0];
         assert_eq!(
             (material.name.as_str(), material.factor),
@@ -71,7 +71,7 @@ fn one_odd_field_leaves_the_rest_of_a_material_as_it_is() {
 fn white_space_beside_the_base64_of_a_picture_is_no_fault() {
     for payload in ["AAEC", " AAEC", "AAEC\\n", "\\r\\n\\tAAEC "] {
         let model = painted(PAINT, &format!("data:image/png;base64,{payload}"));
-        let (_, look) = model.surface_look().expect("readable").expect("a material");
+        let look = model.drawn().expect("readable").look;
         assert_eq!(look.images, [Ok(vec![0, 1, 2].into())], "{payload:?}");
     }
 }
