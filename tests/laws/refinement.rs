@@ -68,6 +68,37 @@ fn refinement_bends_what_is_only_moved() {
     assert!(some < 0.2 * plain && more < 0.05 * plain, "{plain} {some} {more}");
 }
 
+/// How a rod fares that is twisted, or bent, by an angle: what it loses of its volume with it kept and let go, with few handles and
+/// the rod in between.
+fn volumes_lost(axis: DVec3, angle: f64) -> [f64; 2] {
+    let shape = shapes::cylinder(0.5, 4.0, 32, 48, true);
+    let mut bench = bench(&shape);
+    set(&mut bench, vec![handle("base", below(0.3)), handle("top", above(3.7))]);
+    let poses = posed(&bench, &[("top", turn(axis * angle, DVec3::new(0.0, 0.0, 2.0)))]);
+    let rest = volume(&shape, &shape.0);
+    [pb::options::Volume::Keep, pb::options::Volume::Free].map(|kept| {
+        let options = pb::Options {
+            volume: kept.into(),
+            ..Default::default()
+        };
+        let options = DeformOptions::check(&options, "options", 8).expect("valid options");
+        let now = run(&mut bench, &poses, &options.solve, SolveMode::Commit).positions;
+        1.0 - volume(&shape, &now) / rest
+    })
+}
+
+#[test]
+fn a_twist_keeps_its_volume_unless_it_may_go() {
+    for (degrees, most) in [(120.0, 0.02), (360.0, 0.08)] {
+        let [kept, free] = volumes_lost(DVec3::Z, f64::to_radians(degrees));
+        println!("{degrees} degrees: {kept:.4} and {free:.4} of the volume lost");
+        assert!(kept.abs() < most && kept.abs() < 0.4 * free, "{degrees}: {kept} and {free}");
+    }
+    // What hardly loses any changes little.
+    let [kept, free] = volumes_lost(DVec3::X, 0.4);
+    assert!(kept.abs() < free.abs().max(1e-3) && free < 0.01, "{kept} and {free}");
+}
+
 /// Edges at which neighbours lie folded onto each other (their normals over 120° apart, under 90° in the rest pose), and crossing triangles.
 fn folds_and_crossings(bench: &Deformer, (rest, faces): &Shape, now: &[DVec3]) -> (usize, u32) {
     let normal = |at: &[DVec3], f: &[u32; 3]| {

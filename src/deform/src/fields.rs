@@ -47,7 +47,7 @@ impl HarmonicFields {
         let middle = |i: u32, j: u32| (graph.positions[i as usize] + graph.positions[j as usize]) * 0.5 - origin;
         let edges = |i: u32| graph.entries(i).zip(graph.row(i));
 
-        let border = Moments::over(region.len(), pool, |k, sum| {
+        let border = PointSums::over(region.len(), pool, |k, sum| {
             let i = region[k];
             for (e, &j) in edges(i).filter(|(_, j)| !within[**j as usize]) {
                 sum.add(weight(e), middle(i, j));
@@ -58,7 +58,7 @@ impl HarmonicFields {
         if spread <= 0.0 {
             return Some(origin + center);
         }
-        let falls = Moments::over(graph.nodes(), pool, |i, sum| {
+        let falls = PointSums::over(graph.nodes(), pool, |i, sum| {
             for (e, &j) in edges(i as u32).filter(|(_, j)| **j as usize > i) {
                 let fall = f64::from(field[i] - field[j as usize]);
                 let at = middle(i as u32, j);
@@ -84,13 +84,13 @@ impl HarmonicFields {
 
 /// Sums of weighted points.
 #[derive(Clone, Copy, Default)]
-struct Moments {
+struct PointSums {
     weight: f64,
     point: DVec3,
     square: f64,
 }
 
-impl Moments {
+impl PointSums {
     /// Adds up what `add` adds for each of `count` items.
     fn over(count: usize, pool: &Pool, add: impl Fn(usize, &mut Self) + Sync) -> Self {
         const PIECE: usize = 8192;

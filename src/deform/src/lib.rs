@@ -72,6 +72,7 @@ mod second_pass;
 mod solve;
 mod surface_faults;
 mod thin_faces;
+mod volume_scales;
 
 pub use body::{BodyOptions, CoarseOperators, DeformableBody, EdgeWeights, TieFamilies, TieOptions, VolumeMode};
 pub use error::Error;

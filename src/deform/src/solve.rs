@@ -12,7 +12,7 @@ use crate::second_pass::equations::{PosedHandles, Precision};
 use crate::second_pass::refine::RotationFit;
 use crate::second_pass::single_precision::frames_of;
 use crate::second_pass::state::SolveState;
-use crate::second_pass::volume::VolumeScales;
+use crate::volume_scales::VolumeScales;
 use glam::{DMat3, DVec3};
 use pliant_exec::Exec;
 use pliant_exec::pool::Pool;

@@ -295,7 +295,7 @@ mod tests {
         assert_eq!(all.len() as u64, count(&positions, &triangles));
         assert!(all.is_sorted() && all.iter().all(|&pair| is_crossing(&positions, &triangles, pair)));
         assert!(asked(&|_| false).is_empty());
-        let some = |t: usize| t % 5 == 0;
+        let some = |t: usize| t.is_multiple_of(5);
         let expected = all
             .iter()
             .filter(|pair| pair.iter().any(|&t| some(t as usize)))

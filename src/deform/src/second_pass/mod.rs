@@ -10,7 +10,7 @@ pub(super) mod state;
 mod stiff_parts;
 pub(super) mod turn_steps;
 mod turning;
-pub(super) mod volume;
+mod volume;
 
 pub use equations::SecondPassEquations;
 pub use smoother::{TurnChange, TurnChangeKind};

@@ -133,7 +133,7 @@ impl<'a> RotationFit<'a> {
         })
     }
 
-    /// What the volume around a node is to be of the one at rest: that of the handles' scales.
+    /// What the volume around a node is to be of the one in the rest pose: that of the handles' scales.
     pub fn wanted_volume(&self, node: usize) -> f64 {
         self.blend.scale(node).map_or(1.0, |scale| scale.determinant())
     }

@@ -8,7 +8,7 @@ use crate::handles::ownership::UNHELD;
 use crate::handles::system::HandleSystem;
 use crate::rotation::Transform;
 use crate::second_pass::turn_steps::TurnSteps;
-use crate::second_pass::volume::VolumeScales;
+use crate::volume_scales::VolumeScales;
 use glam::DVec3;
 use pliant_exec::pool::Pool;
 use pliant_solver::{PoseRows, Workspace};

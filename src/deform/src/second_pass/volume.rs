@@ -7,20 +7,16 @@
 
 use crate::body::DeformableBody;
 use crate::error::Error;
-use crate::fields::HarmonicFields;
-use crate::first_pass::blend::LocalFrame;
 use crate::pose::FitOrder;
 use crate::second_pass::equations::PosedHandles;
 use crate::second_pass::refine::RotationFit;
 use crate::second_pass::state::SolveState;
 use crate::solve::{PoseSolve, SolveTally};
+use crate::volume_scales::{SECTIONS, VolumeScales, section};
 use glam::{DMat3, DVec3};
-use pliant_exec::pool::Pool;
 use pliant_exec::progress::check;
 use pliant_solver::{InitialGuess, SolveStats};
 
-/// Values of a field at which volume is measured, evenly from 0 to 1.
-const SECTIONS: usize = 33;
 /// The power of what is left of the volume that frames are scaled with, negative: ⅓ gives all back where all directions are free
 /// to grow, ½ where handles hold the length, as in a twist.
 const GIVEN_BACK: f64 = 0.4;
@@ -36,12 +32,6 @@ const FLAT: f64 = 0.01;
 /// What one node's volume counts for at most, and at least.
 const VOLUME_RATIO: std::ops::RangeInclusive<f64> = 0.1..=4.0;
 
-/// By hold, the logarithms of the scales at the sections of its field; empty where nothing is scaled.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct VolumeScales {
-    of_hold: Vec<[f64; SECTIONS]>,
-}
-
 /// Sums over nodes at the sections of a field: their weights, and these times their volumes relative to the wanted ones.
 #[derive(Clone, Copy)]
 struct SectionVolumes {
@@ -49,43 +39,8 @@ struct SectionVolumes {
     volume: [f64; SECTIONS],
 }
 
-impl VolumeScales {
-    /// Scales frames.
-    pub fn apply(
-        &self,
-        fields: &HarmonicFields,
-        frames: &mut [LocalFrame],
-        pool: &Pool,
-        is_open: impl Fn(usize) -> bool + Sync,
-    ) {
-        if self.of_hold.is_empty() {
-            return;
-        }
-        let scale = |node: usize| {
-            let mut sum = 0.0;
-            for (scales, field) in self.of_hold.iter().zip(fields.all()) {
-                if let Some(&u) = field.get(node).filter(|u| **u > 0.0) {
-                    let (below, share) = section(u);
-                    sum += f64::from(u) * (scales[below] * (1.0 - share) + scales[below + 1] * share);
-                }
-            }
-            libm::exp(sum) as f32
-        };
-        let scales = pool.map(frames.len(), 1024, |node| if is_open(node) { scale(node) } else { 1.0 });
-        frames
-            .iter_mut()
-            .zip(scales)
-            .for_each(|(frame, scale)| frame.iter_mut().for_each(|v| *v *= scale));
-    }
-
-    /// Bytes held on the heap.
-    pub fn byte_size(&self) -> usize {
-        self.of_hold.capacity() * size_of::<[f64; SECTIONS]>()
-    }
-}
-
 impl PoseSolve<'_> {
-    /// Whether volume is kept: where rotations are fitted to a pose that stands by itself, and there is an inside to measure. Stiff
+    /// Whether volume is kept: where rotations are fitted to a pose of its own, and there is an inside to measure. Stiff
     /// parts put their own frames in.
     pub(crate) fn keeps_volume(&self) -> bool {
         let request = self.request;
@@ -131,7 +86,7 @@ impl PoseSolve<'_> {
         if largest < LEAST || tally.stopped {
             return Ok(None);
         }
-        state.volume = VolumeScales { of_hold };
+        state.volume = VolumeScales::new(of_hold);
         (state.volume).apply(&handles.rotation_fields, &mut posed.frames, pool, |node| {
             fit.is_open(node)
         });
@@ -197,11 +152,4 @@ fn volume_ratio(body: &DeformableBody, wanted: f64, node: usize, x: &[f64]) -> O
     let ratio = now.determinant() / (size * wanted);
     (size > FLAT * third * third * third && ratio.is_finite())
         .then(|| ratio.clamp(*VOLUME_RATIO.start(), *VOLUME_RATIO.end()))
-}
-
-/// The section below a value of a field, and which part of the way to the next one the value is.
-fn section(u: f32) -> (usize, f64) {
-    let at = f64::from(u).clamp(0.0, 1.0) * (SECTIONS - 1) as f64;
-    let below = (at as usize).min(SECTIONS - 2);
-    (below, at - below as f64)
 }

@@ -54,7 +54,7 @@ impl Judged {
     /// Multiplies the score by a factor; the reason of the smallest factor stays.
     pub(super) fn lower(&mut self, factor: f64, reason: impl FnOnce() -> String) {
         // What cannot be measured is nothing.
-        let factor = factor.max(0.0).min(1.0);
+        let factor = if factor > 0.0 { factor.min(1.0) } else { 0.0 };
         self.score *= factor;
         if factor < self.worst.min(0.95) {
             self.worst = factor;
@@ -211,7 +211,7 @@ impl BodySearch {
         judged.lower(between(width, 0.01, 0.04), || {
             "the arms begin in the middle of the body".into()
         });
-        let off = apart.x.hypot(apart.z) / self.extent.y;
+        let off = libm::hypot(apart.x, apart.z) / self.extent.y;
         judged.lower(between(off, 0.25, 0.12), || {
             "the shoulders are not a mirrored pair".into()
         });

@@ -23,7 +23,7 @@ pub(super) enum Standing {
     Ankle,
 }
 
-/// Where the toe and the ankle of a foot are in each frame, the vertical along y.
+/// Where the toe and the ankle of a foot are in each frame.
 pub(super) struct FootTrack {
     pub(super) toe: Vec<DVec3>,
     pub(super) ankle: Vec<DVec3>,
@@ -32,10 +32,10 @@ pub(super) struct FootTrack {
 }
 
 impl FootTrack {
-    /// By frame, whether the foot stands; frames are `interval` seconds apart.
-    pub(super) fn standing(&self, interval: f64) -> Vec<Option<Standing>> {
-        let toe = contacts_of(&self.toe, self.leg, interval);
-        let ankle = contacts_of(&self.ankle, self.leg, interval);
+    /// By frame, whether the foot stands; frames are `interval` seconds apart, `up` is the vertical.
+    pub(super) fn standing(&self, up: DVec3, interval: f64) -> Vec<Option<Standing>> {
+        let toe = contacts_of(&self.toe, up, self.leg, interval);
+        let ankle = contacts_of(&self.ankle, up, self.leg, interval);
         let pairs = toe.iter().zip(&ankle);
         let mut standing: Vec<Option<Standing>> = pairs
             .map(|pair| match pair {
@@ -73,8 +73,8 @@ pub(super) fn runs<T>(entries: &[T], holds: impl Fn(&T) -> bool) -> Vec<std::ops
 }
 
 /// By frame, whether a point stands: it begins to where it is low and slow, and goes on until it is clearly higher or faster.
-fn contacts_of(places: &[DVec3], leg: f64, interval: f64) -> Vec<bool> {
-    let mut heights: Vec<f64> = places.iter().map(|p| p.y).collect();
+fn contacts_of(places: &[DVec3], up: DVec3, leg: f64, interval: f64) -> Vec<bool> {
+    let mut heights: Vec<f64> = places.iter().map(|p| p.dot(up)).collect();
     heights.sort_unstable_by(f64::total_cmp);
     let floor = heights[(BELOW * heights.len() as f64) as usize];
     let half = ((HALF_SPAN / interval).round() as usize).max(1);
@@ -84,7 +84,7 @@ fn contacts_of(places: &[DVec3], leg: f64, interval: f64) -> Vec<bool> {
         let seconds = ((to - from).max(1)) as f64 * interval;
         let speed = places[to].distance(places[from]) / seconds;
         let allowed = usize::from(stands);
-        stands = places[k].y - floor <= HEIGHT[allowed] * leg && speed <= SPEED[allowed] * leg;
+        stands = places[k].dot(up) - floor <= HEIGHT[allowed] * leg && speed <= SPEED[allowed] * leg;
         stands
     };
     (0..places.len()).map(contact).collect()
@@ -115,7 +115,7 @@ mod tests {
                 toe,
                 leg: 1.0,
             };
-            let found = runs(&foot.standing(1.0 / 30.0), |s| s.is_some());
+            let found = runs(&foot.standing(DVec3::Y, 1.0 / 30.0), |s| s.is_some());
             assert_eq!(found.len(), 5, "{found:?}");
             for (k, run) in found.iter().enumerate() {
                 assert!(
@@ -134,6 +134,6 @@ mod tests {
             ankle: slides,
             leg: 1.0,
         };
-        assert!(foot.standing(1.0 / 30.0).iter().all(Option::is_none));
+        assert!(foot.standing(DVec3::Y, 1.0 / 30.0).iter().all(Option::is_none));
     }
 }

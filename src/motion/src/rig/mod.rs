@@ -6,6 +6,7 @@
 //! paper's recipe (section 7: rotations along bones, positions at joints), with slices along limbs so that a twist is spread
 //! instead of wringing them.
 
+mod bone_pairs;
 mod bones;
 mod contacts;
 mod drive;

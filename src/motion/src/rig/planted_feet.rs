@@ -93,7 +93,7 @@ pub struct FootContacts {
 
 impl PlantedFeet {
     /// Finds when feet stand; `None` for a rig without legs, or a motion that is not finite. `driven` has the bones at a time as they
-    /// are driven, the vertical along y, `recorded` a leg of the recording.
+    /// are driven, `recorded` a leg of the recording, in the model's space.
     pub(super) fn of(
         rig: &MotionRig,
         legs: &[Leg],
@@ -101,6 +101,7 @@ impl PlantedFeet {
         driven: impl Fn(f64) -> Vec<RigidMotion>,
         recorded: impl Fn(f64, &Leg) -> RecordedLeg,
     ) -> Option<Self> {
+        let up = rig.up.direction();
         let mut feet: Vec<PlantedFoot> = legs.iter().filter_map(|leg| PlantedFoot::at_rest(*leg, rig)).collect();
         if feet.is_empty() {
             return None;
@@ -120,16 +121,16 @@ impl PlantedFeet {
         }
         for (foot, leg) in feet.iter_mut().zip(&moved) {
             foot.reaching.hinge = leg.bent.normalize_or(foot.reaching.hinge);
-            foot.standing = leg.recorded.standing(times.interval);
+            foot.standing = leg.recorded.standing(up, times.interval);
             foot.release(&leg.track, (SHORTEST / times.interval).round() as usize);
             foot.shifts = foot.shifts_of(&leg.track, times.interval);
         }
         let mut roots = carried_roots(&feet, times.interval);
-        let lowered = lowered(&feet, &moved, &roots, times.interval);
+        let lowered = lowered(up, &feet, &moved, &roots, times.interval);
         roots
             .iter_mut()
             .zip(lowered)
-            .for_each(|(root, lowered)| root.y -= lowered);
+            .for_each(|(root, lowered)| *root -= up * lowered);
         let shifts = feet.iter().flat_map(|foot| &foot.shifts).chain(&roots);
         let is_finite = shifts.into_iter().all(|shift| shift.is_finite());
         is_finite.then(|| Self {
@@ -246,7 +247,7 @@ impl PlantedFoot {
         let rest = leg.rest_joints(rig);
         let toe = leg.foot.map_or(rest[2], |foot| rig.bones[foot].to);
         // Knees bend so that shins go back from where feet point.
-        let hinge = DVec3::Y.cross(toe - rest[2]).normalize_or(DVec3::X);
+        let hinge = rig.up.direction().cross(toe - rest[2]).normalize_or(DVec3::X);
         (rest[0] != rest[1] && rest[1] != rest[2]).then(|| Self {
             reaching: ReachingLeg { leg, rest, hinge },
             toe,
@@ -425,7 +426,7 @@ fn carried_roots(feet: &[PlantedFoot], interval: f64) -> Vec<DVec3> {
 }
 
 /// By frame, how far the root is lowered, beside its own shift, so that all feet reach where they are shifted to.
-fn lowered(feet: &[PlantedFoot], moved: &[DrivenLeg], roots: &[DVec3], interval: f64) -> Vec<f64> {
+fn lowered(up: DVec3, feet: &[PlantedFoot], moved: &[DrivenLeg], roots: &[DVec3], interval: f64) -> Vec<f64> {
     let count = feet.first().map_or(0, |foot| foot.shifts.len());
     let needed = |k: usize| {
         let of_foot = |(foot, leg): (&PlantedFoot, &DrivenLeg)| {
@@ -436,9 +437,10 @@ fn lowered(feet: &[PlantedFoot], moved: &[DrivenLeg], roots: &[DVec3], interval:
             if way.length() <= longest {
                 return 0.0;
             }
-            let across = libm::hypot(way.x, way.z);
+            let height = way.dot(up);
+            let across = (way - up * height).length();
             let down = (longest * longest - across * across).max(0.0).sqrt();
-            (way.y - down).clamp(0.0, LOWEST * length)
+            (height - down).clamp(0.0, LOWEST * length)
         };
         feet.iter().zip(moved).map(of_foot).fold(0.0, f64::max)
     };

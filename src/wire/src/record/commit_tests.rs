@@ -30,6 +30,21 @@ fn handle_set() -> HandleSet {
     }
 }
 
+fn unusual_settings() -> SolveSettings {
+    SolveSettings {
+        quality: Quality {
+            tolerance: None,
+            max_error: Some(1.0 / 3.0),
+            refine: Some(0),
+            smoothing: 1.0 / 3.0,
+            keeps_volume: false,
+        },
+        method: Method::Diffusion,
+        fits: FitOrder::GraphAlone,
+        unbuckles: false,
+    }
+}
+
 fn commits() -> Vec<LoggedCommit> {
     let third = 1.0 / 3.0;
     let pose = HandlePose {
@@ -56,18 +71,7 @@ fn commits() -> Vec<LoggedCommit> {
         },
         LoggedCommit::Pose {
             poses: poses.clone(),
-            settings: SolveSettings {
-                quality: Quality {
-                    tolerance: None,
-                    max_error: Some(third),
-                    refine: Some(0),
-                    smoothing: third,
-                    keeps_volume: false,
-                },
-                method: Method::Diffusion,
-                fits: FitOrder::GraphAlone,
-                unbuckles: false,
-            },
+            settings: unusual_settings(),
             warnings: vec![pb::Warning {
                 code: "a".into(),
                 message: "b".into(),

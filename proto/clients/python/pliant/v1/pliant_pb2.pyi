@@ -52,7 +52,7 @@ class CreateOptions(_message.Message):
     FINITE_VOLUME: CreateOptions.Operators
     PAPER: CreateOptions.Operators
     class VolumeGraph(_message.Message):
-        __slots__ = ("mode", "interval", "valence", "shell_offset", "kind")
+        __slots__ = ("mode", "interval", "valence", "shell_offset", "kind", "stiffness")
         class Mode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
             __slots__ = ()
             AUTO: _ClassVar[CreateOptions.VolumeGraph.Mode]
@@ -72,12 +72,14 @@ class CreateOptions(_message.Message):
         VALENCE_FIELD_NUMBER: _ClassVar[int]
         SHELL_OFFSET_FIELD_NUMBER: _ClassVar[int]
         KIND_FIELD_NUMBER: _ClassVar[int]
+        STIFFNESS_FIELD_NUMBER: _ClassVar[int]
         mode: CreateOptions.VolumeGraph.Mode
         interval: float
         valence: int
         shell_offset: float
         kind: CreateOptions.VolumeGraph.Kind
-        def __init__(self, mode: _Optional[_Union[CreateOptions.VolumeGraph.Mode, str]] = ..., interval: _Optional[float] = ..., valence: _Optional[int] = ..., shell_offset: _Optional[float] = ..., kind: _Optional[_Union[CreateOptions.VolumeGraph.Kind, str]] = ...) -> None: ...
+        stiffness: float
+        def __init__(self, mode: _Optional[_Union[CreateOptions.VolumeGraph.Mode, str]] = ..., interval: _Optional[float] = ..., valence: _Optional[int] = ..., shell_offset: _Optional[float] = ..., kind: _Optional[_Union[CreateOptions.VolumeGraph.Kind, str]] = ..., stiffness: _Optional[float] = ...) -> None: ...
     class KeepApart(_message.Message):
         __slots__ = ("primitives", "components")
         PRIMITIVES_FIELD_NUMBER: _ClassVar[int]
@@ -266,7 +268,7 @@ class ModelFacts(_message.Message):
     def __init__(self, format: _Optional[str] = ..., bytes: _Optional[int] = ..., sha256: _Optional[str] = ..., vertices: _Optional[int] = ..., triangles: _Optional[int] = ...) -> None: ...
 
 class SolverFacts(_message.Message):
-    __slots__ = ("solver_vertices", "graph_vertices", "graph_edges", "components", "levels", "bytes", "ties", "loose_parts", "loose")
+    __slots__ = ("solver_vertices", "graph_vertices", "graph_edges", "components", "levels", "bytes", "ties", "loose_parts", "loose", "stiff_parts")
     class Level(_message.Message):
         __slots__ = ("vertices", "edges")
         VERTICES_FIELD_NUMBER: _ClassVar[int]
@@ -294,6 +296,7 @@ class SolverFacts(_message.Message):
     TIES_FIELD_NUMBER: _ClassVar[int]
     LOOSE_PARTS_FIELD_NUMBER: _ClassVar[int]
     LOOSE_FIELD_NUMBER: _ClassVar[int]
+    STIFF_PARTS_FIELD_NUMBER: _ClassVar[int]
     solver_vertices: int
     graph_vertices: int
     graph_edges: int
@@ -303,7 +306,8 @@ class SolverFacts(_message.Message):
     ties: int
     loose_parts: int
     loose: _containers.RepeatedCompositeFieldContainer[SolverFacts.LoosePart]
-    def __init__(self, solver_vertices: _Optional[int] = ..., graph_vertices: _Optional[int] = ..., graph_edges: _Optional[int] = ..., components: _Optional[int] = ..., levels: _Optional[_Iterable[_Union[SolverFacts.Level, _Mapping]]] = ..., bytes: _Optional[int] = ..., ties: _Optional[int] = ..., loose_parts: _Optional[int] = ..., loose: _Optional[_Iterable[_Union[SolverFacts.LoosePart, _Mapping]]] = ...) -> None: ...
+    stiff_parts: int
+    def __init__(self, solver_vertices: _Optional[int] = ..., graph_vertices: _Optional[int] = ..., graph_edges: _Optional[int] = ..., components: _Optional[int] = ..., levels: _Optional[_Iterable[_Union[SolverFacts.Level, _Mapping]]] = ..., bytes: _Optional[int] = ..., ties: _Optional[int] = ..., loose_parts: _Optional[int] = ..., loose: _Optional[_Iterable[_Union[SolverFacts.LoosePart, _Mapping]]] = ..., stiff_parts: _Optional[int] = ...) -> None: ...
 
 class Session(_message.Message):
     __slots__ = ("id", "revision", "primitives", "warnings", "build_ms", "model", "solver", "expires_at", "label", "handles", "limits", "created_at")
@@ -507,18 +511,20 @@ class Region(_message.Message):
     def __init__(self, vertices: _Optional[_Union[Region.Vertices, _Mapping]] = ..., half_space: _Optional[_Union[Region.HalfSpace, _Mapping]] = ..., sphere: _Optional[_Union[Region.Sphere, _Mapping]] = ..., box: _Optional[_Union[Region.Box, _Mapping]] = ..., capsule: _Optional[_Union[Region.Capsule, _Mapping]] = ..., tube: _Optional[_Union[Region.Tube, _Mapping]] = ..., component: _Optional[_Union[Region.Part, _Mapping]] = ..., primitive: _Optional[_Union[Region.Part, _Mapping]] = ..., weights: _Optional[_Union[Region.Weights, _Mapping]] = ...) -> None: ...
 
 class HandlePose(_message.Message):
-    __slots__ = ("translation", "rotation", "rotation_vector", "scale", "pivot")
+    __slots__ = ("translation", "rotation", "rotation_vector", "scale", "pivot", "free_rotation")
     TRANSLATION_FIELD_NUMBER: _ClassVar[int]
     ROTATION_FIELD_NUMBER: _ClassVar[int]
     ROTATION_VECTOR_FIELD_NUMBER: _ClassVar[int]
     SCALE_FIELD_NUMBER: _ClassVar[int]
     PIVOT_FIELD_NUMBER: _ClassVar[int]
+    FREE_ROTATION_FIELD_NUMBER: _ClassVar[int]
     translation: _containers.RepeatedScalarFieldContainer[float]
     rotation: _containers.RepeatedScalarFieldContainer[float]
     rotation_vector: _containers.RepeatedScalarFieldContainer[float]
     scale: _containers.RepeatedScalarFieldContainer[float]
     pivot: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, translation: _Optional[_Iterable[float]] = ..., rotation: _Optional[_Iterable[float]] = ..., rotation_vector: _Optional[_Iterable[float]] = ..., scale: _Optional[_Iterable[float]] = ..., pivot: _Optional[_Iterable[float]] = ...) -> None: ...
+    free_rotation: bool
+    def __init__(self, translation: _Optional[_Iterable[float]] = ..., rotation: _Optional[_Iterable[float]] = ..., rotation_vector: _Optional[_Iterable[float]] = ..., scale: _Optional[_Iterable[float]] = ..., pivot: _Optional[_Iterable[float]] = ..., free_rotation: bool = ...) -> None: ...
 
 class Handle(_message.Message):
     __slots__ = ("id", "region", "constrains", "stiffness", "rigid", "pose", "falloff")
@@ -570,17 +576,35 @@ class Plane(_message.Message):
     offset: float
     def __init__(self, normal: _Optional[_Iterable[float]] = ..., offset: _Optional[float] = ...) -> None: ...
 
+class Stiff(_message.Message):
+    __slots__ = ("primitives", "components", "regions", "all", "auto", "strength")
+    PRIMITIVES_FIELD_NUMBER: _ClassVar[int]
+    COMPONENTS_FIELD_NUMBER: _ClassVar[int]
+    REGIONS_FIELD_NUMBER: _ClassVar[int]
+    ALL_FIELD_NUMBER: _ClassVar[int]
+    AUTO_FIELD_NUMBER: _ClassVar[int]
+    STRENGTH_FIELD_NUMBER: _ClassVar[int]
+    primitives: _containers.RepeatedScalarFieldContainer[int]
+    components: _containers.RepeatedScalarFieldContainer[int]
+    regions: _containers.RepeatedCompositeFieldContainer[Region]
+    all: bool
+    auto: bool
+    strength: float
+    def __init__(self, primitives: _Optional[_Iterable[int]] = ..., components: _Optional[_Iterable[int]] = ..., regions: _Optional[_Iterable[_Union[Region, _Mapping]]] = ..., all: bool = ..., auto: bool = ..., strength: _Optional[float] = ...) -> None: ...
+
 class SetHandlesRequest(_message.Message):
-    __slots__ = ("session_id", "handles", "symmetry_plane", "region_of_interest")
+    __slots__ = ("session_id", "handles", "symmetry_plane", "region_of_interest", "stiff")
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     HANDLES_FIELD_NUMBER: _ClassVar[int]
     SYMMETRY_PLANE_FIELD_NUMBER: _ClassVar[int]
     REGION_OF_INTEREST_FIELD_NUMBER: _ClassVar[int]
+    STIFF_FIELD_NUMBER: _ClassVar[int]
     session_id: str
     handles: _containers.RepeatedCompositeFieldContainer[Handle]
     symmetry_plane: Plane
     region_of_interest: Region
-    def __init__(self, session_id: _Optional[str] = ..., handles: _Optional[_Iterable[_Union[Handle, _Mapping]]] = ..., symmetry_plane: _Optional[_Union[Plane, _Mapping]] = ..., region_of_interest: _Optional[_Union[Region, _Mapping]] = ...) -> None: ...
+    stiff: Stiff
+    def __init__(self, session_id: _Optional[str] = ..., handles: _Optional[_Iterable[_Union[Handle, _Mapping]]] = ..., symmetry_plane: _Optional[_Union[Plane, _Mapping]] = ..., region_of_interest: _Optional[_Union[Region, _Mapping]] = ..., stiff: _Optional[_Union[Stiff, _Mapping]] = ...) -> None: ...
 
 class Pose(_message.Message):
     __slots__ = ("seq", "handles", "commit", "idempotency_key")
@@ -616,7 +640,7 @@ class Output(_message.Message):
     def __init__(self, normals: bool = ..., tangents: bool = ..., changed_only: _Optional[float] = ..., encoding: _Optional[_Union[Frame.Encoding, str]] = ..., self_intersections: bool = ...) -> None: ...
 
 class Options(_message.Message):
-    __slots__ = ("tolerance", "max_error", "budget_ms", "progressive", "refine", "first_pass", "method", "rotation_smoothing", "output", "window")
+    __slots__ = ("tolerance", "max_error", "budget_ms", "progressive", "refine", "first_pass", "method", "rotation_smoothing", "output", "window", "volume")
     class FirstPass(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         HARMONIC: _ClassVar[Options.FirstPass]
@@ -631,6 +655,12 @@ class Options(_message.Message):
         SPATIAL_RBF: _ClassVar[Options.Method]
     GRAPH: Options.Method
     SPATIAL_RBF: Options.Method
+    class Volume(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        KEEP: _ClassVar[Options.Volume]
+        FREE: _ClassVar[Options.Volume]
+    KEEP: Options.Volume
+    FREE: Options.Volume
     TOLERANCE_FIELD_NUMBER: _ClassVar[int]
     MAX_ERROR_FIELD_NUMBER: _ClassVar[int]
     BUDGET_MS_FIELD_NUMBER: _ClassVar[int]
@@ -641,6 +671,7 @@ class Options(_message.Message):
     ROTATION_SMOOTHING_FIELD_NUMBER: _ClassVar[int]
     OUTPUT_FIELD_NUMBER: _ClassVar[int]
     WINDOW_FIELD_NUMBER: _ClassVar[int]
+    VOLUME_FIELD_NUMBER: _ClassVar[int]
     tolerance: float
     max_error: float
     budget_ms: float
@@ -651,7 +682,8 @@ class Options(_message.Message):
     rotation_smoothing: float
     output: Output
     window: int
-    def __init__(self, tolerance: _Optional[float] = ..., max_error: _Optional[float] = ..., budget_ms: _Optional[float] = ..., progressive: bool = ..., refine: _Optional[int] = ..., first_pass: _Optional[_Union[Options.FirstPass, str]] = ..., method: _Optional[_Union[Options.Method, str]] = ..., rotation_smoothing: _Optional[float] = ..., output: _Optional[_Union[Output, _Mapping]] = ..., window: _Optional[int] = ...) -> None: ...
+    volume: Options.Volume
+    def __init__(self, tolerance: _Optional[float] = ..., max_error: _Optional[float] = ..., budget_ms: _Optional[float] = ..., progressive: bool = ..., refine: _Optional[int] = ..., first_pass: _Optional[_Union[Options.FirstPass, str]] = ..., method: _Optional[_Union[Options.Method, str]] = ..., rotation_smoothing: _Optional[float] = ..., output: _Optional[_Union[Output, _Mapping]] = ..., window: _Optional[int] = ..., volume: _Optional[_Union[Options.Volume, str]] = ...) -> None: ...
 
 class Ack(_message.Message):
     __slots__ = ("seq",)
@@ -768,7 +800,7 @@ class Animated(_message.Message):
     def __init__(self, index: _Optional[int] = ..., count: _Optional[int] = ..., time: _Optional[float] = ..., root_translation: _Optional[_Iterable[float]] = ..., root_rotation: _Optional[_Iterable[float]] = ..., digest: _Optional[str] = ..., cycles: _Optional[int] = ..., stage: _Optional[str] = ..., fraction: _Optional[float] = ..., report: _Optional[_Union[AnimationReport, _Mapping]] = ...) -> None: ...
 
 class AnimateOptions(_message.Message):
-    __slots__ = ("session_id", "clip", "bvh", "bvh_size", "rig", "fps", "first", "count", "skip_first", "scale", "refine", "tolerance", "root", "output", "window", "played_as", "max_targets", "bones")
+    __slots__ = ("session_id", "clip", "bvh", "bvh_size", "rig", "fps", "first", "count", "skip_first", "scale", "refine", "tolerance", "root", "output", "window", "played_as", "max_targets", "bones", "plant_feet")
     class SkipFirst(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         AUTO: _ClassVar[AnimateOptions.SkipFirst]
@@ -809,6 +841,7 @@ class AnimateOptions(_message.Message):
     PLAYED_AS_FIELD_NUMBER: _ClassVar[int]
     MAX_TARGETS_FIELD_NUMBER: _ClassVar[int]
     BONES_FIELD_NUMBER: _ClassVar[int]
+    PLANT_FEET_FIELD_NUMBER: _ClassVar[int]
     session_id: str
     clip: str
     bvh: bytes
@@ -827,7 +860,8 @@ class AnimateOptions(_message.Message):
     played_as: AnimateOptions.PlayedAs
     max_targets: int
     bones: int
-    def __init__(self, session_id: _Optional[str] = ..., clip: _Optional[str] = ..., bvh: _Optional[bytes] = ..., bvh_size: _Optional[int] = ..., rig: _Optional[_Union[Rig, _Mapping]] = ..., fps: _Optional[float] = ..., first: _Optional[int] = ..., count: _Optional[int] = ..., skip_first: _Optional[_Union[AnimateOptions.SkipFirst, str]] = ..., scale: _Optional[float] = ..., refine: _Optional[int] = ..., tolerance: _Optional[float] = ..., root: _Optional[_Union[AnimateOptions.Root, str]] = ..., output: _Optional[_Union[Output, _Mapping]] = ..., window: _Optional[int] = ..., played_as: _Optional[_Union[AnimateOptions.PlayedAs, str]] = ..., max_targets: _Optional[int] = ..., bones: _Optional[int] = ...) -> None: ...
+    plant_feet: bool
+    def __init__(self, session_id: _Optional[str] = ..., clip: _Optional[str] = ..., bvh: _Optional[bytes] = ..., bvh_size: _Optional[int] = ..., rig: _Optional[_Union[Rig, _Mapping]] = ..., fps: _Optional[float] = ..., first: _Optional[int] = ..., count: _Optional[int] = ..., skip_first: _Optional[_Union[AnimateOptions.SkipFirst, str]] = ..., scale: _Optional[float] = ..., refine: _Optional[int] = ..., tolerance: _Optional[float] = ..., root: _Optional[_Union[AnimateOptions.Root, str]] = ..., output: _Optional[_Union[Output, _Mapping]] = ..., window: _Optional[int] = ..., played_as: _Optional[_Union[AnimateOptions.PlayedAs, str]] = ..., max_targets: _Optional[int] = ..., bones: _Optional[int] = ..., plant_feet: bool = ...) -> None: ...
 
 class AnimateRequest(_message.Message):
     __slots__ = ("options", "chunk", "ack", "cancel")
@@ -888,7 +922,13 @@ class SolveRequest(_message.Message):
     def __init__(self, session_id: _Optional[str] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., options: _Optional[_Union[Options, _Mapping]] = ...) -> None: ...
 
 class EditRequest(_message.Message):
-    __slots__ = ("session_id", "on", "cut", "subdivide", "decimate", "delete", "fill", "remesh", "merge", "insert_curve", "weld")
+    __slots__ = ("session_id", "on", "cut", "subdivide", "decimate", "delete", "fill", "remesh", "merge", "insert_curve", "weld", "smooth")
+    class Cap(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        CONTINUED: _ClassVar[EditRequest.Cap]
+        FLAT: _ClassVar[EditRequest.Cap]
+    CONTINUED: EditRequest.Cap
+    FLAT: EditRequest.Cap
     class On(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         CURRENT: _ClassVar[EditRequest.On]
@@ -896,7 +936,7 @@ class EditRequest(_message.Message):
     CURRENT: EditRequest.On
     REST: EditRequest.On
     class Cut(_message.Message):
-        __slots__ = ("plane", "keep", "fill", "polyline", "path", "closed")
+        __slots__ = ("plane", "keep", "fill", "polyline", "path", "closed", "cap", "material")
         class Keep(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
             __slots__ = ()
             BOTH: _ClassVar[EditRequest.Cut.Keep]
@@ -911,15 +951,19 @@ class EditRequest(_message.Message):
         POLYLINE_FIELD_NUMBER: _ClassVar[int]
         PATH_FIELD_NUMBER: _ClassVar[int]
         CLOSED_FIELD_NUMBER: _ClassVar[int]
+        CAP_FIELD_NUMBER: _ClassVar[int]
+        MATERIAL_FIELD_NUMBER: _ClassVar[int]
         plane: Plane
         keep: EditRequest.Cut.Keep
         fill: bool
         polyline: _containers.RepeatedScalarFieldContainer[float]
         path: _containers.RepeatedScalarFieldContainer[int]
         closed: bool
-        def __init__(self, plane: _Optional[_Union[Plane, _Mapping]] = ..., keep: _Optional[_Union[EditRequest.Cut.Keep, str]] = ..., fill: bool = ..., polyline: _Optional[_Iterable[float]] = ..., path: _Optional[_Iterable[int]] = ..., closed: bool = ...) -> None: ...
+        cap: EditRequest.Cap
+        material: str
+        def __init__(self, plane: _Optional[_Union[Plane, _Mapping]] = ..., keep: _Optional[_Union[EditRequest.Cut.Keep, str]] = ..., fill: bool = ..., polyline: _Optional[_Iterable[float]] = ..., path: _Optional[_Iterable[int]] = ..., closed: bool = ..., cap: _Optional[_Union[EditRequest.Cap, str]] = ..., material: _Optional[str] = ...) -> None: ...
     class Subdivide(_message.Message):
-        __slots__ = ("region", "scheme", "auto")
+        __slots__ = ("region", "scheme", "auto", "crease_degrees", "creases", "crease_primitives", "sharpness")
         class Scheme(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
             __slots__ = ()
             LOOP: _ClassVar[EditRequest.Subdivide.Scheme]
@@ -929,10 +973,18 @@ class EditRequest(_message.Message):
         REGION_FIELD_NUMBER: _ClassVar[int]
         SCHEME_FIELD_NUMBER: _ClassVar[int]
         AUTO_FIELD_NUMBER: _ClassVar[int]
+        CREASE_DEGREES_FIELD_NUMBER: _ClassVar[int]
+        CREASES_FIELD_NUMBER: _ClassVar[int]
+        CREASE_PRIMITIVES_FIELD_NUMBER: _ClassVar[int]
+        SHARPNESS_FIELD_NUMBER: _ClassVar[int]
         region: Region
         scheme: EditRequest.Subdivide.Scheme
         auto: bool
-        def __init__(self, region: _Optional[_Union[Region, _Mapping]] = ..., scheme: _Optional[_Union[EditRequest.Subdivide.Scheme, str]] = ..., auto: bool = ...) -> None: ...
+        crease_degrees: float
+        creases: _containers.RepeatedScalarFieldContainer[int]
+        crease_primitives: bool
+        sharpness: float
+        def __init__(self, region: _Optional[_Union[Region, _Mapping]] = ..., scheme: _Optional[_Union[EditRequest.Subdivide.Scheme, str]] = ..., auto: bool = ..., crease_degrees: _Optional[float] = ..., creases: _Optional[_Iterable[int]] = ..., crease_primitives: bool = ..., sharpness: _Optional[float] = ...) -> None: ...
     class Decimate(_message.Message):
         __slots__ = ("region", "ratio")
         REGION_FIELD_NUMBER: _ClassVar[int]
@@ -948,10 +1000,14 @@ class EditRequest(_message.Message):
         fill: bool
         def __init__(self, region: _Optional[_Union[Region, _Mapping]] = ..., fill: bool = ...) -> None: ...
     class Fill(_message.Message):
-        __slots__ = ("region",)
+        __slots__ = ("region", "cap", "material")
         REGION_FIELD_NUMBER: _ClassVar[int]
+        CAP_FIELD_NUMBER: _ClassVar[int]
+        MATERIAL_FIELD_NUMBER: _ClassVar[int]
         region: Region
-        def __init__(self, region: _Optional[_Union[Region, _Mapping]] = ...) -> None: ...
+        cap: EditRequest.Cap
+        material: str
+        def __init__(self, region: _Optional[_Union[Region, _Mapping]] = ..., cap: _Optional[_Union[EditRequest.Cap, str]] = ..., material: _Optional[str] = ...) -> None: ...
     class Remesh(_message.Message):
         __slots__ = ("region", "edge_length", "auto", "max_deviation", "sharp_degrees")
         REGION_FIELD_NUMBER: _ClassVar[int]
@@ -965,6 +1021,25 @@ class EditRequest(_message.Message):
         max_deviation: float
         sharp_degrees: float
         def __init__(self, region: _Optional[_Union[Region, _Mapping]] = ..., edge_length: _Optional[float] = ..., auto: bool = ..., max_deviation: _Optional[float] = ..., sharp_degrees: _Optional[float] = ...) -> None: ...
+    class Smooth(_message.Message):
+        __slots__ = ("region", "kind", "iterations", "strength", "sharp_degrees")
+        class Kind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+            __slots__ = ()
+            SMOOTH: _ClassVar[EditRequest.Smooth.Kind]
+            RELAX: _ClassVar[EditRequest.Smooth.Kind]
+        SMOOTH: EditRequest.Smooth.Kind
+        RELAX: EditRequest.Smooth.Kind
+        REGION_FIELD_NUMBER: _ClassVar[int]
+        KIND_FIELD_NUMBER: _ClassVar[int]
+        ITERATIONS_FIELD_NUMBER: _ClassVar[int]
+        STRENGTH_FIELD_NUMBER: _ClassVar[int]
+        SHARP_DEGREES_FIELD_NUMBER: _ClassVar[int]
+        region: Region
+        kind: EditRequest.Smooth.Kind
+        iterations: int
+        strength: float
+        sharp_degrees: float
+        def __init__(self, region: _Optional[_Union[Region, _Mapping]] = ..., kind: _Optional[_Union[EditRequest.Smooth.Kind, str]] = ..., iterations: _Optional[int] = ..., strength: _Optional[float] = ..., sharp_degrees: _Optional[float] = ...) -> None: ...
     class Merge(_message.Message):
         __slots__ = ("model", "session", "file", "transform", "how", "tolerance", "format")
         class How(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
@@ -1013,6 +1088,7 @@ class EditRequest(_message.Message):
     MERGE_FIELD_NUMBER: _ClassVar[int]
     INSERT_CURVE_FIELD_NUMBER: _ClassVar[int]
     WELD_FIELD_NUMBER: _ClassVar[int]
+    SMOOTH_FIELD_NUMBER: _ClassVar[int]
     session_id: str
     on: EditRequest.On
     cut: EditRequest.Cut
@@ -1024,10 +1100,11 @@ class EditRequest(_message.Message):
     merge: EditRequest.Merge
     insert_curve: EditRequest.InsertCurve
     weld: EditRequest.Weld
-    def __init__(self, session_id: _Optional[str] = ..., on: _Optional[_Union[EditRequest.On, str]] = ..., cut: _Optional[_Union[EditRequest.Cut, _Mapping]] = ..., subdivide: _Optional[_Union[EditRequest.Subdivide, _Mapping]] = ..., decimate: _Optional[_Union[EditRequest.Decimate, _Mapping]] = ..., delete: _Optional[_Union[EditRequest.Delete, _Mapping]] = ..., fill: _Optional[_Union[EditRequest.Fill, _Mapping]] = ..., remesh: _Optional[_Union[EditRequest.Remesh, _Mapping]] = ..., merge: _Optional[_Union[EditRequest.Merge, _Mapping]] = ..., insert_curve: _Optional[_Union[EditRequest.InsertCurve, _Mapping]] = ..., weld: _Optional[_Union[EditRequest.Weld, _Mapping]] = ...) -> None: ...
+    smooth: EditRequest.Smooth
+    def __init__(self, session_id: _Optional[str] = ..., on: _Optional[_Union[EditRequest.On, str]] = ..., cut: _Optional[_Union[EditRequest.Cut, _Mapping]] = ..., subdivide: _Optional[_Union[EditRequest.Subdivide, _Mapping]] = ..., decimate: _Optional[_Union[EditRequest.Decimate, _Mapping]] = ..., delete: _Optional[_Union[EditRequest.Delete, _Mapping]] = ..., fill: _Optional[_Union[EditRequest.Fill, _Mapping]] = ..., remesh: _Optional[_Union[EditRequest.Remesh, _Mapping]] = ..., merge: _Optional[_Union[EditRequest.Merge, _Mapping]] = ..., insert_curve: _Optional[_Union[EditRequest.InsertCurve, _Mapping]] = ..., weld: _Optional[_Union[EditRequest.Weld, _Mapping]] = ..., smooth: _Optional[_Union[EditRequest.Smooth, _Mapping]] = ...) -> None: ...
 
 class EditResult(_message.Message):
-    __slots__ = ("revision", "before", "after", "handles_kept", "warnings", "ms", "kept", "curve", "digest", "repaired", "deviation")
+    __slots__ = ("revision", "before", "after", "handles_kept", "warnings", "ms", "kept", "curve", "digest", "repaired", "deviation", "volume_change", "creases")
     class Counts(_message.Message):
         __slots__ = ("vertices", "faces")
         VERTICES_FIELD_NUMBER: _ClassVar[int]
@@ -1062,6 +1139,8 @@ class EditResult(_message.Message):
     DIGEST_FIELD_NUMBER: _ClassVar[int]
     REPAIRED_FIELD_NUMBER: _ClassVar[int]
     DEVIATION_FIELD_NUMBER: _ClassVar[int]
+    VOLUME_CHANGE_FIELD_NUMBER: _ClassVar[int]
+    CREASES_FIELD_NUMBER: _ClassVar[int]
     revision: int
     before: EditResult.Counts
     after: EditResult.Counts
@@ -1073,7 +1152,9 @@ class EditResult(_message.Message):
     digest: str
     repaired: bool
     deviation: float
-    def __init__(self, revision: _Optional[int] = ..., before: _Optional[_Union[EditResult.Counts, _Mapping]] = ..., after: _Optional[_Union[EditResult.Counts, _Mapping]] = ..., handles_kept: _Optional[_Iterable[str]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., ms: _Optional[_Mapping[str, float]] = ..., kept: _Optional[_Iterable[_Union[EditResult.Run, _Mapping]]] = ..., curve: _Optional[_Iterable[int]] = ..., digest: _Optional[str] = ..., repaired: bool = ..., deviation: _Optional[float] = ...) -> None: ...
+    volume_change: float
+    creases: _containers.RepeatedScalarFieldContainer[int]
+    def __init__(self, revision: _Optional[int] = ..., before: _Optional[_Union[EditResult.Counts, _Mapping]] = ..., after: _Optional[_Union[EditResult.Counts, _Mapping]] = ..., handles_kept: _Optional[_Iterable[str]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., ms: _Optional[_Mapping[str, float]] = ..., kept: _Optional[_Iterable[_Union[EditResult.Run, _Mapping]]] = ..., curve: _Optional[_Iterable[int]] = ..., digest: _Optional[str] = ..., repaired: bool = ..., deviation: _Optional[float] = ..., volume_change: _Optional[float] = ..., creases: _Optional[_Iterable[int]] = ...) -> None: ...
 
 class Commit(_message.Message):
     __slots__ = ("revision", "kind", "digest")
@@ -1199,7 +1280,7 @@ class Step(_message.Message):
     def __init__(self, pose: _Optional[_Union[Pose, _Mapping]] = ..., edit: _Optional[_Union[EditRequest, _Mapping]] = ...) -> None: ...
 
 class Job(_message.Message):
-    __slots__ = ("create", "handles", "steps", "options", "expect", "symmetry_plane", "region_of_interest")
+    __slots__ = ("create", "handles", "steps", "options", "expect", "symmetry_plane", "region_of_interest", "stiff")
     CREATE_FIELD_NUMBER: _ClassVar[int]
     HANDLES_FIELD_NUMBER: _ClassVar[int]
     STEPS_FIELD_NUMBER: _ClassVar[int]
@@ -1207,6 +1288,7 @@ class Job(_message.Message):
     EXPECT_FIELD_NUMBER: _ClassVar[int]
     SYMMETRY_PLANE_FIELD_NUMBER: _ClassVar[int]
     REGION_OF_INTEREST_FIELD_NUMBER: _ClassVar[int]
+    STIFF_FIELD_NUMBER: _ClassVar[int]
     create: CreateOptions
     handles: _containers.RepeatedCompositeFieldContainer[Handle]
     steps: _containers.RepeatedCompositeFieldContainer[Step]
@@ -1214,7 +1296,8 @@ class Job(_message.Message):
     expect: Expect
     symmetry_plane: Plane
     region_of_interest: Region
-    def __init__(self, create: _Optional[_Union[CreateOptions, _Mapping]] = ..., handles: _Optional[_Iterable[_Union[Handle, _Mapping]]] = ..., steps: _Optional[_Iterable[_Union[Step, _Mapping]]] = ..., options: _Optional[_Union[Options, _Mapping]] = ..., expect: _Optional[_Union[Expect, _Mapping]] = ..., symmetry_plane: _Optional[_Union[Plane, _Mapping]] = ..., region_of_interest: _Optional[_Union[Region, _Mapping]] = ...) -> None: ...
+    stiff: Stiff
+    def __init__(self, create: _Optional[_Union[CreateOptions, _Mapping]] = ..., handles: _Optional[_Iterable[_Union[Handle, _Mapping]]] = ..., steps: _Optional[_Iterable[_Union[Step, _Mapping]]] = ..., options: _Optional[_Union[Options, _Mapping]] = ..., expect: _Optional[_Union[Expect, _Mapping]] = ..., symmetry_plane: _Optional[_Union[Plane, _Mapping]] = ..., region_of_interest: _Optional[_Union[Region, _Mapping]] = ..., stiff: _Optional[_Union[Stiff, _Mapping]] = ...) -> None: ...
 
 class Report(_message.Message):
     __slots__ = ("model", "warnings", "steps", "quality", "digest", "solver", "build_ms", "handles", "output", "passengers", "followed")
@@ -1299,7 +1382,7 @@ class Report(_message.Message):
     def __init__(self, model: _Optional[_Union[ModelFacts, _Mapping]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., steps: _Optional[_Iterable[_Union[Report.Step, _Mapping]]] = ..., quality: _Optional[_Union[Quality, _Mapping]] = ..., digest: _Optional[str] = ..., solver: _Optional[_Union[SolverFacts, _Mapping]] = ..., build_ms: _Optional[_Mapping[str, float]] = ..., handles: _Optional[_Iterable[_Union[HandleFacts, _Mapping]]] = ..., output: _Optional[_Iterable[str]] = ..., passengers: _Optional[_Iterable[_Union[Report.Passenger, _Mapping]]] = ..., followed: _Optional[_Union[Followed, _Mapping]] = ...) -> None: ...
 
 class Quality(_message.Message):
-    __slots__ = ("edge_rms", "volume_change", "area_change", "flipped_triangles", "max_stretch", "self_intersections", "faces_too_large", "open_surface")
+    __slots__ = ("edge_rms", "volume_change", "area_change", "flipped_triangles", "max_stretch", "self_intersections", "faces_too_large", "open_surface", "off_rigid")
     EDGE_RMS_FIELD_NUMBER: _ClassVar[int]
     VOLUME_CHANGE_FIELD_NUMBER: _ClassVar[int]
     AREA_CHANGE_FIELD_NUMBER: _ClassVar[int]
@@ -1308,6 +1391,7 @@ class Quality(_message.Message):
     SELF_INTERSECTIONS_FIELD_NUMBER: _ClassVar[int]
     FACES_TOO_LARGE_FIELD_NUMBER: _ClassVar[int]
     OPEN_SURFACE_FIELD_NUMBER: _ClassVar[int]
+    OFF_RIGID_FIELD_NUMBER: _ClassVar[int]
     edge_rms: float
     volume_change: float
     area_change: float
@@ -1316,10 +1400,11 @@ class Quality(_message.Message):
     self_intersections: int
     faces_too_large: int
     open_surface: bool
-    def __init__(self, edge_rms: _Optional[float] = ..., volume_change: _Optional[float] = ..., area_change: _Optional[float] = ..., flipped_triangles: _Optional[int] = ..., max_stretch: _Optional[float] = ..., self_intersections: _Optional[int] = ..., faces_too_large: _Optional[int] = ..., open_surface: bool = ...) -> None: ...
+    off_rigid: float
+    def __init__(self, edge_rms: _Optional[float] = ..., volume_change: _Optional[float] = ..., area_change: _Optional[float] = ..., flipped_triangles: _Optional[int] = ..., max_stretch: _Optional[float] = ..., self_intersections: _Optional[int] = ..., faces_too_large: _Optional[int] = ..., open_surface: bool = ..., off_rigid: _Optional[float] = ...) -> None: ...
 
 class Inspection(_message.Message):
-    __slots__ = ("model", "primitives", "solver", "warnings", "components", "boundary_loops", "non_manifold_edges", "non_manifold_vertices", "seam_vertices", "closed", "box_min", "box_max", "area", "volume", "memory_estimate", "degenerate_faces", "duplicate_faces", "unreferenced_vertices", "nodes", "node_count")
+    __slots__ = ("model", "primitives", "solver", "warnings", "components", "boundary_loops", "non_manifold_edges", "non_manifold_vertices", "seam_vertices", "closed", "box_min", "box_max", "area", "volume", "memory_estimate", "degenerate_faces", "duplicate_faces", "unreferenced_vertices", "nodes", "node_count", "hard_parts")
     MODEL_FIELD_NUMBER: _ClassVar[int]
     PRIMITIVES_FIELD_NUMBER: _ClassVar[int]
     SOLVER_FIELD_NUMBER: _ClassVar[int]
@@ -1340,6 +1425,7 @@ class Inspection(_message.Message):
     UNREFERENCED_VERTICES_FIELD_NUMBER: _ClassVar[int]
     NODES_FIELD_NUMBER: _ClassVar[int]
     NODE_COUNT_FIELD_NUMBER: _ClassVar[int]
+    HARD_PARTS_FIELD_NUMBER: _ClassVar[int]
     model: ModelFacts
     primitives: _containers.RepeatedCompositeFieldContainer[Primitive]
     solver: SolverFacts
@@ -1360,7 +1446,8 @@ class Inspection(_message.Message):
     unreferenced_vertices: int
     nodes: _containers.RepeatedCompositeFieldContainer[ModelNode]
     node_count: int
-    def __init__(self, model: _Optional[_Union[ModelFacts, _Mapping]] = ..., primitives: _Optional[_Iterable[_Union[Primitive, _Mapping]]] = ..., solver: _Optional[_Union[SolverFacts, _Mapping]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., components: _Optional[int] = ..., boundary_loops: _Optional[int] = ..., non_manifold_edges: _Optional[int] = ..., non_manifold_vertices: _Optional[int] = ..., seam_vertices: _Optional[int] = ..., closed: bool = ..., box_min: _Optional[_Iterable[float]] = ..., box_max: _Optional[_Iterable[float]] = ..., area: _Optional[float] = ..., volume: _Optional[float] = ..., memory_estimate: _Optional[int] = ..., degenerate_faces: _Optional[int] = ..., duplicate_faces: _Optional[int] = ..., unreferenced_vertices: _Optional[int] = ..., nodes: _Optional[_Iterable[_Union[ModelNode, _Mapping]]] = ..., node_count: _Optional[int] = ...) -> None: ...
+    hard_parts: _containers.RepeatedScalarFieldContainer[int]
+    def __init__(self, model: _Optional[_Union[ModelFacts, _Mapping]] = ..., primitives: _Optional[_Iterable[_Union[Primitive, _Mapping]]] = ..., solver: _Optional[_Union[SolverFacts, _Mapping]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., components: _Optional[int] = ..., boundary_loops: _Optional[int] = ..., non_manifold_edges: _Optional[int] = ..., non_manifold_vertices: _Optional[int] = ..., seam_vertices: _Optional[int] = ..., closed: bool = ..., box_min: _Optional[_Iterable[float]] = ..., box_max: _Optional[_Iterable[float]] = ..., area: _Optional[float] = ..., volume: _Optional[float] = ..., memory_estimate: _Optional[int] = ..., degenerate_faces: _Optional[int] = ..., duplicate_faces: _Optional[int] = ..., unreferenced_vertices: _Optional[int] = ..., nodes: _Optional[_Iterable[_Union[ModelNode, _Mapping]]] = ..., node_count: _Optional[int] = ..., hard_parts: _Optional[_Iterable[int]] = ...) -> None: ...
 
 class ModelNode(_message.Message):
     __slots__ = ("index", "name", "joint", "position")
@@ -1375,7 +1462,7 @@ class ModelNode(_message.Message):
     def __init__(self, index: _Optional[int] = ..., name: _Optional[str] = ..., joint: bool = ..., position: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Rig(_message.Message):
-    __slots__ = ("version", "joints", "bones", "reference_frame", "scale", "model")
+    __slots__ = ("version", "joints", "bones", "reference_frame", "scale", "model", "up")
     class Rest(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         REST_UNSPECIFIED: _ClassVar[Rig.Rest]
@@ -1430,16 +1517,18 @@ class Rig(_message.Message):
     REFERENCE_FRAME_FIELD_NUMBER: _ClassVar[int]
     SCALE_FIELD_NUMBER: _ClassVar[int]
     MODEL_FIELD_NUMBER: _ClassVar[int]
+    UP_FIELD_NUMBER: _ClassVar[int]
     version: int
     joints: _containers.MessageMap[str, Rig.Joint]
     bones: _containers.RepeatedCompositeFieldContainer[Rig.Bone]
     reference_frame: int
     scale: float
     model: str
-    def __init__(self, version: _Optional[int] = ..., joints: _Optional[_Mapping[str, Rig.Joint]] = ..., bones: _Optional[_Iterable[_Union[Rig.Bone, _Mapping]]] = ..., reference_frame: _Optional[int] = ..., scale: _Optional[float] = ..., model: _Optional[str] = ...) -> None: ...
+    up: str
+    def __init__(self, version: _Optional[int] = ..., joints: _Optional[_Mapping[str, Rig.Joint]] = ..., bones: _Optional[_Iterable[_Union[Rig.Bone, _Mapping]]] = ..., reference_frame: _Optional[int] = ..., scale: _Optional[float] = ..., model: _Optional[str] = ..., up: _Optional[str] = ...) -> None: ...
 
 class AnimationReport(_message.Message):
-    __slots__ = ("frames", "totals", "handles", "warnings", "scale", "build_ms", "output", "written_error")
+    __slots__ = ("frames", "totals", "handles", "warnings", "scale", "build_ms", "output", "written_error", "feet")
     class FrameReport(_message.Message):
         __slots__ = ("index", "time", "ms", "cycles", "volume_change", "flipped_triangles", "max_stretch", "edge_rms", "digest", "root_translation", "root_rotation")
         INDEX_FIELD_NUMBER: _ClassVar[int]
@@ -1504,6 +1593,25 @@ class AnimationReport(_message.Message):
         max_percent: float
         parts: int
         def __init__(self, rms_percent: _Optional[float] = ..., max_percent: _Optional[float] = ..., parts: _Optional[int] = ...) -> None: ...
+    class Foot(_message.Message):
+        __slots__ = ("bone", "contacts", "planted_frames", "drift_before", "drift_after")
+        class Contact(_message.Message):
+            __slots__ = ("to",)
+            FROM_FIELD_NUMBER: _ClassVar[int]
+            TO_FIELD_NUMBER: _ClassVar[int]
+            to: float
+            def __init__(self, to: _Optional[float] = ..., **kwargs) -> None: ...
+        BONE_FIELD_NUMBER: _ClassVar[int]
+        CONTACTS_FIELD_NUMBER: _ClassVar[int]
+        PLANTED_FRAMES_FIELD_NUMBER: _ClassVar[int]
+        DRIFT_BEFORE_FIELD_NUMBER: _ClassVar[int]
+        DRIFT_AFTER_FIELD_NUMBER: _ClassVar[int]
+        bone: str
+        contacts: _containers.RepeatedCompositeFieldContainer[AnimationReport.Foot.Contact]
+        planted_frames: int
+        drift_before: float
+        drift_after: float
+        def __init__(self, bone: _Optional[str] = ..., contacts: _Optional[_Iterable[_Union[AnimationReport.Foot.Contact, _Mapping]]] = ..., planted_frames: _Optional[int] = ..., drift_before: _Optional[float] = ..., drift_after: _Optional[float] = ...) -> None: ...
     class BuildMsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -1519,6 +1627,7 @@ class AnimationReport(_message.Message):
     BUILD_MS_FIELD_NUMBER: _ClassVar[int]
     OUTPUT_FIELD_NUMBER: _ClassVar[int]
     WRITTEN_ERROR_FIELD_NUMBER: _ClassVar[int]
+    FEET_FIELD_NUMBER: _ClassVar[int]
     frames: _containers.RepeatedCompositeFieldContainer[AnimationReport.FrameReport]
     totals: AnimationReport.Totals
     handles: _containers.RepeatedCompositeFieldContainer[AnimationReport.HeldNodes]
@@ -1527,4 +1636,5 @@ class AnimationReport(_message.Message):
     build_ms: _containers.ScalarMap[str, float]
     output: _containers.RepeatedScalarFieldContainer[str]
     written_error: AnimationReport.WrittenError
-    def __init__(self, frames: _Optional[_Iterable[_Union[AnimationReport.FrameReport, _Mapping]]] = ..., totals: _Optional[_Union[AnimationReport.Totals, _Mapping]] = ..., handles: _Optional[_Iterable[_Union[AnimationReport.HeldNodes, _Mapping]]] = ..., warnings: _Optional[_Iterable[str]] = ..., scale: _Optional[float] = ..., build_ms: _Optional[_Mapping[str, float]] = ..., output: _Optional[_Iterable[str]] = ..., written_error: _Optional[_Union[AnimationReport.WrittenError, _Mapping]] = ...) -> None: ...
+    feet: _containers.RepeatedCompositeFieldContainer[AnimationReport.Foot]
+    def __init__(self, frames: _Optional[_Iterable[_Union[AnimationReport.FrameReport, _Mapping]]] = ..., totals: _Optional[_Union[AnimationReport.Totals, _Mapping]] = ..., handles: _Optional[_Iterable[_Union[AnimationReport.HeldNodes, _Mapping]]] = ..., warnings: _Optional[_Iterable[str]] = ..., scale: _Optional[float] = ..., build_ms: _Optional[_Mapping[str, float]] = ..., output: _Optional[_Iterable[str]] = ..., written_error: _Optional[_Union[AnimationReport.WrittenError, _Mapping]] = ..., feet: _Optional[_Iterable[_Union[AnimationReport.Foot, _Mapping]]] = ...) -> None: ...
