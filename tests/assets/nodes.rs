@@ -69,7 +69,7 @@ fn bar_with_nodes() -> FileSet {
 
 /// Holds one end and bends the other, with `passengers` and after `first` steps.
 fn bending(passengers: &Value, first: &[Value]) -> Value {
-    let bend = json!({"pose": {"handles": [{"id": "top", "pose": {"rotationVector": [0.9, 0, 0.4], "translation": [0.1, 0.5, -0.2]}}]}});
+    let bend = json!({"pose": {"handles": [{"id": "top", "pose": {"rotationVector": [0.9, 0, 0.4], "translation": [0.1, 0.5, -0.2], "pivot": [0, 0, 3.85]}}]}});
     let steps = [first, &[bend]].concat();
     json!({
         "create": {"passengers": passengers},

@@ -92,7 +92,10 @@ fn a_twist_keeps_its_volume_unless_it_may_go() {
     for (degrees, most) in [(120.0, 0.02), (360.0, 0.08)] {
         let [kept, free] = volumes_lost(DVec3::Z, f64::to_radians(degrees));
         println!("{degrees} degrees: {kept:.4} and {free:.4} of the volume lost");
-        assert!(kept.abs() < most && kept.abs() < 0.4 * free, "{degrees}: {kept} and {free}");
+        assert!(
+            kept.abs() < most && kept.abs() < 0.4 * free,
+            "{degrees}: {kept} and {free}"
+        );
     }
     // What hardly loses any changes little.
     let [kept, free] = volumes_lost(DVec3::X, 0.4);

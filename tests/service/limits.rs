@@ -230,11 +230,19 @@ async fn ranges_of_requests_are_kept() {
         let url = format!("/v1/sessions?sample=figure&options=%7B%22rigidChains%22:[{list}]%7D");
         server.post(&url)
     };
+    let stiff = |regions: usize| {
+        let handles = json!({
+            "handles": [{"id": "base", "region": {"halfSpace": {"normal": [0, 0, -1], "offset": -0.5}}}],
+            "stiff": {"regions": vec![json!({"component": {"index": 0}}); regions]},
+        });
+        server.put(&format!("/v1/sessions/{id}/handles")).json(&handles)
+    };
     let rows = book::table(&page(), "| field | allowed |");
     let fields: Vec<&str> = rows.iter().map(|row| row[0].as_str()).collect();
     let tried = [
         ("label of a session", create(256), create(257)),
         ("rigidChains of a session or job", chains(1024), chains(1025)),
+        ("stiff of handles or a job", stiff(256), stiff(257)),
         ("pageSize of a list", list(1000), list(1001)),
         (
             "refine of a solve",

@@ -71,9 +71,9 @@ impl HarmonicFields {
         falls.mean().map(|joint| origin + joint)
     }
 
-    /// The fields of all holds; empty ones have no say.
-    pub fn all(&self) -> &[Vec<f32>] {
-        &self.fields
+    /// Number of holds.
+    pub fn holds(&self) -> usize {
+        self.fields.len()
     }
 
     /// Bytes held on the heap.

@@ -90,3 +90,4 @@ pub use rotation::{Transform, blend_rotations, exp_rotation, fade, fit_rigid_mot
 pub use second_pass::{SecondPassEquations, SolveState, TurnChange, TurnChangeKind};
 pub use surface_faults::{FreeSurface, SurfaceFaults};
 pub use thin_faces::NeedlesAndCaps;
+pub use volume_scales::VolumeScales;

@@ -7,8 +7,8 @@ use super::poses::{handle_pose, handle_pose_message};
 use super::{Error, pb};
 use glam::DVec3;
 use pliant_core::engine::{
-    Falloff, FalloffCurve, Handle, HandleConstrains, HandlePose, HandleSet, MOST_TUBE_POINTS, Plane, Region, Stiff,
-    VertexRange,
+    DefaultPivot, Falloff, FalloffCurve, Handle, HandleConstrains, HandlePose, HandleSet, MOST_TUBE_POINTS, Plane,
+    Region, Stiff, VertexRange,
 };
 use std::collections::BTreeSet;
 
@@ -36,6 +36,7 @@ pub fn handle_set(request: &pb::SetHandlesRequest) -> Result<HandleSet, Error> {
         symmetry_plane,
         region_of_interest: interest.map(|r| region(Some(r), "regionOfInterest")).transpose()?,
         stiff: request.stiff.as_ref().map(stiff).transpose()?,
+        default_pivot: DefaultPivot::Joint,
     })
 }
 

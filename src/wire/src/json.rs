@@ -212,14 +212,39 @@ fn allowed_values(kind: &Kind) -> Option<String> {
 /// # Errors
 /// [`Error::Internal`], never for a message of this schema.
 pub fn to_json<M: Message + prost::Name>(message: &M) -> Result<serde_json::Value, Error> {
-    let mut dynamic = DynamicMessage::new(descriptor(&M::full_name())?);
+    let described = descriptor(&M::full_name())?;
+    let mut dynamic = DynamicMessage::new(described.clone());
     dynamic
         .merge(message.encode_to_vec().as_slice())
         .map_err(|e| Error::Internal(format!("transcoding: {e}")))?;
     let options = SerializeOptions::new().skip_default_fields(false);
-    dynamic
+    let mut value = dynamic
         .serialize_with_options(serde_json::value::Serializer, &options)
-        .map_err(|e| Error::Internal(format!("JSON: {e}")))
+        .map_err(|e| Error::Internal(format!("JSON: {e}")))?;
+    sort_maps(&mut value, &described);
+    Ok(value)
+}
+
+/// Sorts the entries of all maps of a message, which come in any order, by their keys.
+fn sort_maps(value: &mut serde_json::Value, message: &MessageDescriptor) {
+    let Some(object) = value.as_object_mut() else {
+        return;
+    };
+    for field in message.fields() {
+        let (Some(value), Kind::Message(of)) = (object.get_mut(field.json_name()), field.kind()) else {
+            continue;
+        };
+        match value {
+            serde_json::Value::Object(entries) if field.is_map() => {
+                entries.sort_keys();
+                if let Kind::Message(of) = of.map_entry_value_field().kind() {
+                    entries.values_mut().for_each(|value| sort_maps(value, &of));
+                }
+            }
+            serde_json::Value::Array(items) => items.iter_mut().for_each(|item| sort_maps(item, &of)),
+            single => sort_maps(single, &of),
+        }
+    }
 }
 
 #[cfg(test)]

@@ -106,7 +106,7 @@ fn pictures_that_make_no_sense_are_refused_before_anything_is_written() {
             "--beside and --close-up are for .png and .apng",
         ),
         ("-o a.png --beside dqs", "possible values: lbs"),
-        ("-o a.png --close-up high", "such as leftHand,0.3"),
+        ("-o a.png --close-up high,wide", "such as leftHand,0.3"),
         ("-o a.png --close-up high,-1", "a number above 0"),
         (
             "-o a.png --close-up tail,0.5",

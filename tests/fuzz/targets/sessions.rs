@@ -6,9 +6,9 @@ use pliant::asset::{FileSet, Limits, shapes};
 use pliant::deform::VolumeMode;
 use pliant::edit::{KeptSide, SubdivisionScheme};
 use pliant::engine::{
-    CutLine, Deformer, DeformerLimits, Edit, Error, Falloff, FalloffCurve, Handle, HandleConstrains, HandlePose,
-    HandleScale, HandleSet, MergeJoin, Method, ModelMerge, OpenOptions, Plane, Quality, Region, RemeshCommand,
-    SmoothCommand, SmoothKind, SolveSettings, Stiff, digest,
+    CutLine, DefaultPivot, Deformer, DeformerLimits, Edit, Error, Falloff, FalloffCurve, Handle, HandleConstrains,
+    HandlePose, HandleScale, HandleSet, MergeJoin, Method, ModelMerge, OpenOptions, Plane, Quality, Region,
+    RemeshCommand, SmoothCommand, SmoothKind, SolveSettings, Stiff, digest,
 };
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -296,6 +296,11 @@ pub fn handles(bytes: &[u8]) {
             all: true,
             ..Stiff::default()
         }),
+        default_pivot: if draw.below(4) == 0 {
+            DefaultPivot::Middle
+        } else {
+            DefaultPivot::Joint
+        },
     };
     if let Err(refused) = deformer.set_handles(&set, &exec) {
         require_reason(&refused, &set);

@@ -305,7 +305,14 @@ async fn of_warnings() -> Vec<Said> {
     let set = server.put(&format!("/v1/sessions/{id}/handles")).json(&over);
     let set = set.document().await;
     let overlap = warning(&set, "handles that overlap", "overlapping-handles");
-    vec![without, library, image, heights, overlap]
+    let bent = json!({"stiff": {"all": true}, "handles": [
+        {"id": "base", "region": {"halfSpace": {"normal": [0, 0, -1], "offset": -0.5}}},
+        {"id": "top", "region": {"halfSpace": {"normal": [0, 0, 1], "offset": 3}}},
+    ]});
+    let bent = server.put(&format!("/v1/sessions/{id}/handles")).json(&bent);
+    let bent = bent.document().await;
+    let bent = warning(&bent, "a stiff part between handles", "stiff-part-held");
+    vec![without, library, image, heights, overlap, bent]
 }
 
 /// A server that must know who asks.

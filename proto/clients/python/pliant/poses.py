@@ -115,8 +115,9 @@ def to_message(pose: PoseLike) -> pb.HandlePose:
                 raise TypeError(f"{seen(name)}: no such field of a pose; allowed are {', '.join(_LENGTHS)}, free_rotation")
         pose = Pose(**fields)
     message = pb.HandlePose()
-    if pose.free_rotation:
-        message.free_rotation = True
+    if not isinstance(pose.free_rotation, bool):
+        raise TypeError(f"free_rotation: {seen(pose.free_rotation)}, True or False is allowed")
+    message.free_rotation = pose.free_rotation
     for name, allowed in _LENGTHS.items():
         value = getattr(pose, name)
         if name == "rotation" and value is not None and array(name, value).size == 3:

@@ -12,7 +12,7 @@ use super::handle::{Falloff, FalloffCurve};
 use super::resolved_handles::fading_weights;
 use crate::deform::{
     FreeSurface, HandleSystem, LocalRotation, PoseRequest, Quality, SolveState, SolvedNodes, SurfaceFaults, TurnChange,
-    TurnChangeKind, unfold_faces,
+    TurnChangeKind, VolumeScales, unfold_faces,
 };
 use crate::exec::Exec;
 use crate::mesh::{Mesh, signed_volume, surface_area};
@@ -105,12 +105,40 @@ impl<'a> BuckleWatch<'a> {
             solved: fitted,
             turns: fits,
         };
+        self.let_volume_go(&surface, &mut best, state)?;
         self.smooth_around_faults(&surface, &mut best, plain.cost(), state)?;
         if plain.cost() < best.cost() {
             best = plain;
         }
         state.set_added_turns(best.turns);
         Ok(best.solved)
+    }
+
+    /// Where the volume that is given back squeezes the surface until it folds, the pose does without.
+    fn let_volume_go(
+        &self,
+        surface: &FreeSurface<'_>,
+        best: &mut Candidate,
+        state: &mut SolveState,
+    ) -> Result<(), Error> {
+        let kept = state.exchange_volume(VolumeScales::default());
+        if kept.is_empty() {
+            return Ok(());
+        }
+        let unchanged = TurnChange {
+            kind: TurnChangeKind::Smooth,
+            turns: &best.turns,
+            weights: &vec![0.0; self.derived.body.nodes()],
+        };
+        let (solved, turns) =
+            (self.handles).solve_changed(&self.derived.body, &self.request, &unchanged, state, self.exec)?;
+        let free = self.finished(surface, solved, turns)?;
+        if free.cost() < best.cost() {
+            *best = free;
+        } else {
+            state.exchange_volume(kept);
+        }
+        Ok(())
     }
 
     /// The pose of the paper's two passes, as where no fit is asked for.

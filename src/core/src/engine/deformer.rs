@@ -8,7 +8,7 @@ use crate::engine::facts::{
     DeformerFacts, DeformerWarning, HandleFacts, MeshCounts, ModelFacts, PulledTies, QualityReport, SolverFacts,
     count_u32,
 };
-use crate::engine::handle::{HandlePose, HandlePoses, HandleSet};
+use crate::engine::handle::{DefaultPivot, HandlePose, HandlePoses, HandleSet};
 use crate::engine::model_topology::ModelTopology;
 use crate::engine::quality::{measure_quality, warn_of_large_faces};
 use crate::engine::region_context::RegionContext;
@@ -402,7 +402,10 @@ impl Deformer {
             Some(system) => warn_of_large_faces(&self.derived.mesh, system, body.diagonal, 0.0, exec)?,
             None => None,
         };
-        let joint = |k: usize| system.as_ref().and_then(|system| system.joint_of(body, k, exec.pool));
+        let with_joints = system
+            .as_ref()
+            .filter(|_| resolved.set.default_pivot == DefaultPivot::Joint);
+        let joint = |k: usize| with_joints.and_then(|system| system.joint_of(body, k, exec.pool));
         let pivots = resolved
             .centroids
             .iter()

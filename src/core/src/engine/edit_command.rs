@@ -361,6 +361,7 @@ pub(super) fn carry_handles(
     let old = held.set;
     let mut carried = CarriedHandles::default();
     carried.set.symmetry_plane = old.symmetry_plane;
+    carried.set.default_pivot = old.default_pivot;
     for (k, handle) in old.handles.iter().enumerate() {
         let region = match &handle.region {
             Region::Weights(values) => carry_weights(values, applied, patch),

@@ -69,6 +69,18 @@ pub struct HandleSet {
     pub region_of_interest: Option<Region>,
     /// Parts that move as rigid bodies, with no handle each.
     pub stiff: Option<Stiff>,
+    /// What handles turn about whose poses name no pivot.
+    pub default_pivot: DefaultPivot,
+}
+
+/// What a handle turns about whose pose names no pivot.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum DefaultPivot {
+    /// The joint between its region and what is free; the middle of the region where there is none.
+    #[default]
+    Joint,
+    /// The middle of its region. Records of the time before joints mean this.
+    Middle,
 }
 
 /// Parts that move as rigid bodies. What hangs together of a primitive, a component or a region is one part; where they overlap,

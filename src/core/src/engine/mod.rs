@@ -72,8 +72,8 @@ pub use facts::{
     TieFacts, WarningPlace,
 };
 pub use handle::{
-    Falloff, FalloffCurve, Handle, HandleConstrains, HandlePose, HandlePoses, HandleRotation, HandleScale, HandleSet,
-    Plane, Region, Stiff, VertexRange,
+    DefaultPivot, Falloff, FalloffCurve, Handle, HandleConstrains, HandlePose, HandlePoses, HandleRotation,
+    HandleScale, HandleSet, Plane, Region, Stiff, VertexRange,
 };
 pub use quality::FrameQuality;
 pub use riding::CarriedNode;

@@ -2,7 +2,7 @@
 
 use super::error::Error;
 use super::facts::DeformerWarning;
-use super::handle::{Falloff, FalloffCurve, Handle, HandlePose, HandleSet, Region, Stiff};
+use super::handle::{Falloff, FalloffCurve, Handle, HandlePose, HandleSet, Region};
 use super::region_context::{
     MirrorPlane, RegionContext, RegionNodes, holds_nothing, nodes_in_region, region_centroid, vertices_in_region,
     vertices_of_handle,
@@ -104,10 +104,13 @@ pub(super) fn resolve_handles(
     let frozen = frozen_nodes(context, body, set.region_of_interest.as_ref())?;
     resolved.warnings = overlap_warnings(&set.handles, &holds, &images, &frozen);
     holds.extend(images);
-    let stiff = match &set.stiff {
-        Some(stiff) => join_stiff(context, body, stiff, &mut holds, &mut resolved.warnings)?,
-        None => StiffNodes::default(),
-    };
+    let mut stiff_parts = StiffNodes::default();
+    if let Some(stiff) = &set.stiff {
+        let part_of_vertex = stiff_vertices(context, stiff)?;
+        let (nodes, bent) = stiff_nodes(body, &part_of_vertex, stiff.strength, &mut holds, &frozen);
+        stiff_parts = nodes;
+        resolved.warnings.extend(warn_of_bent_parts(&bent));
+    }
     unreferenced.sort_by_key(|&(vertex, hold)| (vertex, hold));
     // The last handle that names a vertex has it.
     unreferenced.reverse();
@@ -128,30 +131,21 @@ pub(super) fn resolve_handles(
             handles: holds,
             frozen,
             policy,
-            stiff,
+            stiff: stiff_parts,
         },
     ))
 }
 
-/// The nodes of stiff parts. Parts that a hard handle holds any node of go to that handle.
-fn join_stiff(
-    context: &RegionContext<'_>,
-    body: &DeformableBody,
-    stiff: &Stiff,
-    holds: &mut [HandleConstraint],
-    warnings: &mut Vec<DeformerWarning>,
-) -> Result<StiffNodes, Error> {
-    let part_of_vertex = stiff_vertices(context, stiff)?;
-    let (nodes, bent) = stiff_nodes(body, &part_of_vertex, stiff.strength, holds);
-    if let Some(first) = bent.first() {
-        let message = format!(
-            "{} stiff parts are held by several hard handles, and bend between them",
-            bent.len()
-        );
-        let place = format!("the first at ({}, {}, {})", first.x, first.y, first.z);
-        warnings.push(DeformerWarning::new("stiff-part-held", message, place));
-    }
-    Ok(nodes)
+/// Warns of stiff parts that cannot be rigid, for where they are.
+fn warn_of_bent_parts(bent: &[DVec3]) -> Option<DeformerWarning> {
+    let first = bent.first()?;
+    let several = "held by several hard handles, or cut by the region of interest,";
+    let message = match bent.len() {
+        1 => format!("a stiff part is {several} and bends"),
+        count => format!("{count} stiff parts are {several} and bend"),
+    };
+    let place = format!("the first at ({}, {}, {})", first.x, first.y, first.z);
+    Some(DeformerWarning::new("stiff-part-held", message, place))
 }
 
 impl ResolvedHandles {

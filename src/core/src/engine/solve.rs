@@ -85,7 +85,10 @@ impl Deformer {
                 let surface = nodes.iter().filter(|n| (**n as usize) < body.graph.surface);
                 let (rest, there): (Vec<DVec3>, Vec<DVec3>) =
                     surface.map(|&n| (body.graph.positions[n as usize], now(n))).unzip();
-                transforms[hold].rotation = fit_rigid_motion(&rest, &there).rotation;
+                // Where it holds too little of the surface to tell, it is taken as it was given.
+                if rest.len() > 2 {
+                    transforms[hold].rotation = fit_rigid_motion(&rest, &there).rotation;
+                }
             }
         }
         Ok(transforms)
@@ -165,8 +168,7 @@ impl Deformer {
         if mode == SolveMode::Commit && settings.method != Method::SpatialRbf {
             let watch = BuckleWatch::of(derived, handle_system, request, exec);
             watch.unfold(&mut solved);
-            // Stiff parts are put in their place after the fits, which are not to be changed under them.
-            if settings.watches_fits() && handle_system.stiff_parts(body).next().is_none() {
+            if settings.watches_fits() {
                 solved = watch.unbuckled(solved, state)?;
             }
         }

@@ -75,13 +75,14 @@ fn pieces(mesh: &Mesh, number: &[u32]) -> Vec<u32> {
     piece
 }
 
-/// The stiff nodes of a body, for the part of each solver vertex. A part that one hard handle holds any node of joins that
-/// handle; returns the places of parts that several hold, which bend.
+/// The stiff nodes of a body, for the part of each solver vertex. A part that one hard handle holds any node of, after overlaps,
+/// joins that handle; returns the places of parts that several hold, which bend. `frozen` nodes are held as by one handle more.
 pub(super) fn stiff_nodes(
     body: &DeformableBody,
     part_of_vertex: &[u32],
     strength: f64,
     holds: &mut [HandleConstraint],
+    frozen: &[bool],
 ) -> (StiffNodes, Vec<DVec3>) {
     let part_of: Vec<u32> = (body.graph.nearest_surface.iter())
         .map(|&v| part_of_vertex[v as usize])
@@ -94,14 +95,16 @@ pub(super) fn stiff_nodes(
     // By part: the hold that has it, or `SEVERAL`.
     const SEVERAL: u32 = UNHELD - 1;
     let mut holder = vec![UNHELD; count];
-    for (k, hold) in (0u32..)
-        .zip(holds.iter())
-        .filter(|(_, h)| h.position && h.stiffness.is_none())
-    {
-        for &node in &hold.nodes {
-            if let Some(holder) = holder.get_mut(part_of[node as usize] as usize) {
-                *holder = if *holder == UNHELD || *holder == k { k } else { SEVERAL };
-            }
+    let mut owner = vec![UNHELD; part_of.len()];
+    let is_hard = |hold: &HandleConstraint| hold.position && hold.stiffness.is_none();
+    for (k, hold) in (0u32..).zip(holds.iter()).filter(|(_, hold)| is_hard(hold)) {
+        hold.nodes.iter().for_each(|&node| owner[node as usize] = k);
+    }
+    let frozen = owner.iter_mut().zip(frozen).filter(|(_, frozen)| **frozen);
+    frozen.for_each(|(owner, _)| *owner = holds.len() as u32);
+    for (&k, &part) in owner.iter().zip(&part_of).filter(|(k, _)| **k != UNHELD) {
+        if let Some(holder) = holder.get_mut(part as usize) {
+            *holder = if *holder == UNHELD || *holder == k { k } else { SEVERAL };
         }
     }
     let mut joined = vec![Vec::new(); holds.len()];
@@ -109,6 +112,10 @@ pub(super) fn stiff_nodes(
     for (node, &part) in (0u32..).zip(&part_of).filter(|(_, k)| **k != UNHELD) {
         match holder[part as usize] {
             UNHELD => {}
+            // One that is partly frozen, and not held otherwise, cannot move without bending.
+            k if k as usize == joined.len() => {
+                _ = bent[part as usize].get_or_insert(body.graph.positions[node as usize])
+            }
             SEVERAL => _ = bent[part as usize].get_or_insert(body.graph.positions[node as usize]),
             k => joined[k as usize].push(node),
         }

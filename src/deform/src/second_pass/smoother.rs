@@ -97,6 +97,9 @@ impl HandleSystem {
         prepare(body, self, &posed, true, state, exec.pool);
         pose.assemble(&posed, state);
         let stats = pose.run(&self.positions, InitialGuess::Given, 0.0, state, &mut tally)?;
+        if !self.stiff.is_empty() {
+            pose.stiffen(None, &mut posed, state)?;
+        }
         let solved = pose.finish(stats, &mut posed, state, &mut tally)?;
         let frames = posed.frames;
         Ok((SolvedNodes { frames, ..solved }, added))

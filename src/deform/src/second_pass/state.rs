@@ -85,6 +85,11 @@ impl SolveState {
         self.rows.release();
     }
 
+    /// Puts other scales in the place of those that keep the volume in the last pose that was fitted, and returns these.
+    pub fn exchange_volume(&mut self, scales: VolumeScales) -> VolumeScales {
+        std::mem::replace(&mut self.volume, scales)
+    }
+
     /// Drops what refinement had added to the first pass's rotations, so that the next solve fits them again.
     pub fn forget_fits(&mut self) {
         self.extra.clear();

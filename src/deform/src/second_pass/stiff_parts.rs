@@ -48,6 +48,11 @@ impl PoseSolve<'_> {
             true => fit.resume(&state.extra, pool),
             false => fit.start(pool),
         });
+        let scaled = |fit: &RotationFit<'_>, turns: &[LocalRotation], state: &SolveState| {
+            let mut frames = fit.frames(turns, pool);
+            (state.volume).apply(&handles.rotation_fields, &mut frames, pool, |node| fit.is_open(node));
+            frames
+        };
         let rounds = if turns.is_some() { ROUNDS } else { ROUNDS_OF_DRAG };
         let mut workspace = Workspace::default();
         for round in 0..rounds {
@@ -57,7 +62,7 @@ impl PoseSolve<'_> {
                     *turns = fit.step(turns, &state.x, pool);
                 }
                 parts.turn(&places, turns);
-                posed.frames = fit.frames(turns, pool);
+                posed.frames = scaled(fit, turns, state);
             }
             parts.put(body, &places, &mut posed.frames, &mut state.x);
             self.assemble(posed, state);
@@ -76,7 +81,7 @@ impl PoseSolve<'_> {
         }
         if let (Some(fit), Some(turns)) = (fit, &mut turns) {
             parts.turn(&places, turns);
-            posed.frames = fit.frames(turns, pool);
+            posed.frames = scaled(fit, turns, state);
             state.extra = fit.extra(turns, pool);
         }
         parts.put(body, &places, &mut posed.frames, &mut state.x);

@@ -10,6 +10,9 @@ const FARTHEST: f64 = 64.0;
 const REMEMBERED: usize = 6;
 /// A difference that is this much one of newer ones adds nothing.
 const LEAST_NEW: f64 = 1e-2;
+/// A step that makes torques this much larger was wrong.
+const MUCH_LARGER: f64 = 2.0;
+
 /// What steps towards turns have shown so far: changes of turns with the changes of torques that came of them, the newest last.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct TurnSteps {
@@ -27,8 +30,14 @@ impl TurnSteps {
         }
     }
 
-    /// Keeps what a step has changed of the torques.
-    pub(super) fn remember(&mut self, turned: Vec<DVec3>, changed: Vec<DVec3>) {
+    /// Keeps what a step has changed of the torques, `now` from what they were `before` it. A step that has made them much larger
+    /// shows that what is known holds no more.
+    pub(super) fn remember(&mut self, turned: Vec<DVec3>, before: &[DVec3], now: &[DVec3]) {
+        if length(now) > MUCH_LARGER * length(before) {
+            self.steps.clear();
+            return;
+        }
+        let changed = now.iter().zip(before).map(|(now, before)| *now - *before).collect();
         if self.steps.len() == REMEMBERED {
             self.steps.remove(0);
         }

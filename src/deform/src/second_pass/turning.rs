@@ -70,8 +70,7 @@ impl HandleSystem {
             let torque = self.torques(body, &transforms, &solved, &free, exec.pool);
             state.recycle(solved.positions, solved.frames);
             if let Some((step, before)) = last.take() {
-                let changed = torque.iter().zip(&before).map(|(now, before)| *now - *before);
-                state.turning.remember(step, changed.collect());
+                state.turning.remember(step, &before, &torque);
             }
             let step = state.turning.step(&torque);
             let longest = step.iter().map(|s| s.length()).fold(0.0, f64::max);

@@ -2,7 +2,7 @@
 //!
 //! A twist shears the sections of a bar, and the shape whose edges come closest to the turned ones is thinner: a round bar of
 //! radius r, twisted by θ' a unit of length, loses about θ'² r² / 2 of its volume. How much is measured where the harmonic field of
-//! a handle has one value, which is a section of what bends; given back it is as a scale of the local frames there. Gains and
+//! what moves alike has one value, which is a section of what bends; given back it is as a scale of the local frames there. Gains and
 //! losses cancel across a section of a bend, so that a bend stays as it is.
 
 use crate::body::DeformableBody;
@@ -12,7 +12,7 @@ use crate::second_pass::equations::PosedHandles;
 use crate::second_pass::refine::RotationFit;
 use crate::second_pass::state::SolveState;
 use crate::solve::{PoseSolve, SolveTally};
-use crate::volume_scales::{SECTIONS, VolumeScales, section};
+use crate::volume_scales::{AlikeHolds, SECTIONS, VolumeScales, section};
 use glam::{DMat3, DVec3};
 use pliant_exec::progress::check;
 use pliant_solver::{InitialGuess, SolveStats};
@@ -40,14 +40,14 @@ struct SectionVolumes {
 }
 
 impl PoseSolve<'_> {
-    /// Whether volume is kept: where rotations are fitted to a pose of its own, and there is an inside to measure. Stiff
-    /// parts put their own frames in.
+    /// Whether volume is kept: where rotations are fitted to a pose of its own that scales nothing, and there is an inside
+    /// to measure.
     pub(crate) fn keeps_volume(&self) -> bool {
         let request = self.request;
         request.quality.keeps_volume
             && request.steps() > 0
             && request.fits != FitOrder::Carried
-            && self.handles.stiff.is_empty()
+            && !self.request.transforms.iter().any(|t| t.log_scale != DMat3::ZERO)
             && !self.inside().is_empty()
     }
 
@@ -82,11 +82,13 @@ impl PoseSolve<'_> {
             }
             scales
         };
-        let of_hold = self.section_volumes(fit, &state.x).iter().map(&mut scales_of).collect();
+        let groups = AlikeHolds::groups(self.request.transforms, handles.rotation_fields.holds());
+        let volumes = self.section_volumes(&groups, fit, &state.x);
+        let scales = volumes.iter().map(&mut scales_of).collect();
         if largest < LEAST || tally.stopped {
             return Ok(None);
         }
-        state.volume = VolumeScales::new(of_hold);
+        state.volume = VolumeScales::new(groups, scales);
         (state.volume).apply(&handles.rotation_fields, &mut posed.frames, pool, |node| {
             fit.is_open(node)
         });
@@ -95,35 +97,34 @@ impl PoseSolve<'_> {
             .map(Some)
     }
 
-    /// By hold, the volume at the sections of its field in a solution (solving coordinates, three numbers a node).
-    fn section_volumes(&self, fit: &RotationFit<'_>, x: &[f64]) -> Vec<SectionVolumes> {
+    /// By group of holds, the volume at the sections of its field in a solution (solving coordinates, three numbers a node).
+    fn section_volumes(&self, groups: &[AlikeHolds], fit: &RotationFit<'_>, x: &[f64]) -> Vec<SectionVolumes> {
         let inside = self.inside();
-        let fields = self.handles.rotation_fields.all();
+        let fields = &self.handles.rotation_fields;
         let length = inside.len().div_ceil(PIECES);
         let nothing = SectionVolumes {
             weight: [0.0; SECTIONS],
             volume: [0.0; SECTIONS],
         };
         let pieces = self.exec.pool.map(PIECES, 1, |piece| {
-            let mut sums = vec![nothing; fields.len()];
+            let mut sums = vec![nothing; groups.len()];
             let first = inside.start + piece * length;
             for node in (first..(first + length).min(inside.end)).filter(|&node| fit.is_open(node)) {
                 let Some(ratio) = volume_ratio(self.body, fit.wanted_volume(node), node, x) else {
                     continue;
                 };
-                for (sum, field) in sums.iter_mut().zip(fields) {
-                    if let Some(&u) = field.get(node).filter(|u| **u > 0.0) {
-                        let (below, share) = section(u);
-                        for (s, share) in [(below, 1.0 - share), (below + 1, share)] {
-                            sum.weight[s] += f64::from(u) * share;
-                            sum.volume[s] += f64::from(u) * share * ratio;
-                        }
+                for (sum, group) in sums.iter_mut().zip(groups) {
+                    let u = group.share(fields, node);
+                    let (below, part) = section(u);
+                    for (s, part) in [(below, 1.0 - part), (below + 1, part)] {
+                        sum.weight[s] += f64::from(u) * part;
+                        sum.volume[s] += f64::from(u) * part * ratio;
                     }
                 }
             }
             sums
         });
-        let mut all = vec![nothing; fields.len()];
+        let mut all = vec![nothing; groups.len()];
         for piece in &pieces {
             for (sum, own) in all.iter_mut().zip(piece) {
                 (0..SECTIONS).for_each(|s| {

@@ -127,7 +127,11 @@ impl BodyLattice {
     pub(super) fn is_near(&self, p: DVec3) -> bool {
         let at = (p - self.low) / self.side;
         let [x, y, z] = at.round().to_array().map(|n| n as i64);
-        (-1..=1).any(|dx| (-1..=1).any(|dy| (-1..=1).any(|dz| self.cell_at([x + dx, y + dy, z + dz]).is_some())))
+        let is_cell = |dx: i64, dy: i64, dz: i64| {
+            let at = [x.saturating_add(dx), y.saturating_add(dy), z.saturating_add(dz)];
+            self.cell_at(at).is_some()
+        };
+        (-1..=1).any(|dx| (-1..=1).any(|dy| (-1..=1).any(|dz| is_cell(dx, dy, dz))))
     }
 
     /// The cell at a place of the lattice.

@@ -32,6 +32,9 @@ use std::collections::BTreeMap;
 /// A bone's radius over its length where it is unknown, and at least.
 const UNKNOWN: f64 = 0.25;
 const LEAST_RADIUS: f64 = 0.03;
+/// How far apart, as a part of what joints are looked for in, places are that a joint in a gap may go to, and how many there are.
+const NEAR_STEP: f64 = 0.01;
+const NEAR_STEPS: u32 = 10;
 
 /// A rig of a body.
 #[derive(Debug, Clone, PartialEq)]
@@ -95,7 +98,8 @@ pub fn rig_of_body(
         };
         let axis = (to - from).try_normalize();
         if let Some(axis) = axis.filter(|_| !fixed.contains(&name)) {
-            places.insert(name, middle_of_section(tree.bvh(), at, axis, reach));
+            let middle = middle_of_section(tree.bvh(), at, axis, reach);
+            places.insert(name, inside_near(tree, middle, axis, reach));
         }
     }
     let mut bones = Vec::with_capacity(kept.len());
@@ -242,6 +246,21 @@ fn middle_of_section(tree: &TriangleBvh<'_>, joint: DVec3, axis: DVec3, reach: f
     }
     let wall = thickness_at(tree, joint, axis, reach).unwrap_or(0.0);
     if at.distance(joint) > 1.5 * wall { joint } else { at }
+}
+
+/// A joint that lies in a gap, as between the shell of a shin and that of a boot, brought into what is nearest across its axis; any
+/// other, and one with nothing near, as it is.
+fn inside_near(tree: &WindingTree, joint: DVec3, axis: DVec3, reach: f64) -> DVec3 {
+    if tree.contains(joint) {
+        return joint;
+    }
+    let ways = rays_across(tree.bvh(), joint, axis, reach).map(|(way, _)| way);
+    let step = NEAR_STEP * reach;
+    let inside = |k: u32| {
+        let place = |way: &DVec3| joint + *way * (f64::from(k) * step);
+        ways.iter().map(place).find(|p| tree.contains(*p))
+    };
+    (1..=NEAR_STEPS).find_map(inside).unwrap_or(joint)
 }
 
 /// How far the surface is around a place on a bone; the median of its rays.

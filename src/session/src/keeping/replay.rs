@@ -11,11 +11,11 @@ use crate::keeping::kept_session::KeptSession;
 use crate::store::{Commit, StoreError};
 use glam::DVec3;
 use pliant_asset::FileSet;
-use pliant_core::engine::{self, HandlePose, HandlePoses, ModelShape, digest};
+use pliant_core::engine::{self, ModelShape, digest};
 use pliant_exec::Exec;
 use pliant_exec::progress;
+use pliant_wire::SessionEdit;
 use pliant_wire::record::{LoggedCommit, ShapeProbe};
-use pliant_wire::{SessionEdit, pb};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -138,8 +138,12 @@ impl Replay<'_> {
         match &stored.record {
             LoggedCommit::Create { .. } => return Err(damaged("the session was created twice")),
             LoggedCommit::Handles { set, poses, facts } => {
-                let poses = poses_as_meant(poses, &facts.handles);
-                self.history.commit_handles(set.clone(), poses, facts.clone());
+                let mut facts = facts.clone();
+                // Facts of the time before joints name none.
+                for handle in facts.handles.iter_mut().filter(|handle| handle.pivot.is_empty()) {
+                    handle.pivot.clone_from(&handle.centroid);
+                }
+                self.history.commit_handles(set.clone(), poses.clone(), facts);
             }
             LoggedCommit::Pose {
                 poses,
@@ -155,7 +159,6 @@ impl Replay<'_> {
                         stored.sequence
                     )));
                 }
-                let poses = poses_as_meant(poses, &state.facts.handles);
                 let mut shape = None;
                 let mut now = stored.digest.clone();
                 if is_solved {
@@ -170,7 +173,7 @@ impl Replay<'_> {
                     shape = Some(solved);
                 }
                 self.history.commit_pose(PosedState {
-                    poses,
+                    poses: poses.clone(),
                     warnings: warnings.clone(),
                     settings: *settings,
                     shape,
@@ -261,20 +264,6 @@ impl Replay<'_> {
     }
 }
 
-/// Poses with the pivots that they had when they were recorded: facts of the time before handles had joints say so by having none,
-/// and regions were then turned about their middle.
-fn poses_as_meant(poses: &HandlePoses, handles: &[pb::HandleFacts]) -> HandlePoses {
-    let pivots = handles
-        .iter()
-        .map(|h| (h.pivot.is_empty() && h.centroid.len() == 3).then(|| DVec3::from_slice(&h.centroid)));
-    let meant = poses.0.iter().zip(pivots.chain(std::iter::repeat(None)));
-    let meant = meant.map(|(pose, pivot)| HandlePose {
-        pivot: pose.pivot.or(pivot.filter(|_| pose.moves())),
-        ..*pose
-    });
-    HandlePoses(Arc::new(meant.collect()))
-}
-
 /// Whether a rebuilt shape may stand for the recorded one.
 pub(crate) fn check_digest(
     stored: &Commit,
@@ -303,24 +292,6 @@ pub(crate) fn check_digest(
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn poses_of_the_time_before_joints_keep_the_middle_of_their_region() {
-        let handle = |pivot: &[f64]| pb::HandleFacts {
-            centroid: vec![1.0, 2.0, 3.0],
-            pivot: pivot.to_vec(),
-            ..Default::default()
-        };
-        let turned = HandlePose::rotation([0.0, 0.0, 1.0]);
-        let pivot_of = |pose: HandlePose, facts: pb::HandleFacts| {
-            poses_as_meant(&HandlePoses(Arc::new(vec![pose])), &[facts]).0[0].pivot
-        };
-        let middle = DVec3::new(1.0, 2.0, 3.0);
-        assert_eq!(pivot_of(turned, handle(&[])), Some(middle));
-        assert_eq!(pivot_of(turned, handle(&[0.0; 3])), None);
-        assert_eq!(pivot_of(turned.about(DVec3::X), handle(&[])), Some(DVec3::X));
-        assert_eq!(pivot_of(HandlePose::default(), handle(&[])), None);
-    }
 
     fn commit(sequence: u64, target: Option<u64>) -> Commit {
         let pose = LoggedCommit::Pose {

@@ -7,7 +7,7 @@ use super::messages::{
 use crate::frames::{FrameEncoding, FrameOutput};
 use crate::{Error, SessionEdit, handle_pose, handle_pose_message, handle_set, handle_set_message, pb, session_edit};
 use glam::DVec3;
-use pliant_core::engine::{Edit, HandlePose, HandlePoses, HandleSet, Method, Quality, SolveSettings};
+use pliant_core::engine::{DefaultPivot, Edit, HandlePose, HandlePoses, HandleSet, Method, Quality, SolveSettings};
 use pliant_deform::FitOrder;
 use prost::Message as _;
 
@@ -139,6 +139,7 @@ impl LoggedCommit {
                 set: Some(handle_set_message(set)),
                 poses: pose_messages(poses),
                 facts: Some((**facts).clone()),
+                about_joints: set.default_pivot == DefaultPivot::Joint,
             }),
             Self::Pose {
                 poses,
@@ -185,7 +186,13 @@ impl LoggedCommit {
                 facts: recorded(created.facts, "facts")?,
             },
             CommitKindMessage::Handles(handles) => Self::Handles {
-                set: handle_set(&handles.set.ok_or_else(|| missing("handles"))?)?,
+                set: HandleSet {
+                    default_pivot: match handles.about_joints {
+                        true => DefaultPivot::Joint,
+                        false => DefaultPivot::Middle,
+                    },
+                    ..handle_set(&handles.set.ok_or_else(|| missing("handles"))?)?
+                },
                 poses: recorded_poses(&handles.poses)?,
                 facts: recorded(handles.facts, "facts")?,
             },

@@ -73,6 +73,9 @@ pub(super) struct HandlesMessage {
     pub poses: Vec<pb::HandlePose>,
     #[prost(message, optional, tag = "3")]
     pub facts: Option<pb::Session>,
+    /// Absent in records of the time when handles turned about the middle of their regions.
+    #[prost(bool, tag = "4")]
+    pub about_joints: bool,
 }
 
 #[derive(Clone, PartialEq, prost::Message)]

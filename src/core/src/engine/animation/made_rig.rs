@@ -94,8 +94,8 @@ impl MadeRig {
             )
         });
         let problem = format!(
-            "joints are not sure{axes}; scores below {LEAST_SCORE}: {}; give joints with --at NAME=x,y,z or --landmarks FILE, or how \
-             the figure stands with --up and --front",
+            "joints are not sure{axes}; scores below {LEAST_SCORE}: {}; make a rig with `pliant rig`, and give joints with --at \
+             NAME=x,y,z or --landmarks FILE, or how the figure stands with --up and --front",
             lines.collect::<Vec<_>>().join("; ")
         );
         Err(RigError::field("model", problem).into())
