@@ -278,4 +278,12 @@ async fn what_the_first_version_wrote_opens_for_ever() {
     for _ in 0..=steps {
         server.done("POST", &path(id, "/redo"), None).await;
     }
+    // It goes on as it began: an edit, and a turn that names no pivot, are there after a restart.
+    let finer = json!({"on": "REST", "subdivide": {"scheme": "MIDPOINT"}});
+    server.done("POST", &path(id, "/edits"), Some(&finer)).await;
+    turn(&server, id, 0.7).await;
+    let before = seen(&server, id).await;
+    server.kill();
+    let server = ServedProgram::start(&folder, &["--max-ttl", "366d"]);
+    assert_eq!(seen(&server, id).await, before);
 }
