@@ -85,7 +85,7 @@ impl Deformer {
                 let surface = nodes.iter().filter(|n| (**n as usize) < body.graph.surface);
                 let (rest, there): (Vec<DVec3>, Vec<DVec3>) =
                     surface.map(|&n| (body.graph.positions[n as usize], now(n))).unzip();
-                // Where it holds too little of the surface to tell, it is taken as it was given.
+                // Of one that holds next to nothing of the surface the rotation is the one that was given.
                 if rest.len() > 2 {
                     transforms[hold].rotation = fit_rigid_motion(&rest, &there).rotation;
                 }
