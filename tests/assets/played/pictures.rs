@@ -107,7 +107,7 @@ fn pictures_that_make_no_sense_are_refused_before_anything_is_written() {
         ),
         ("-o a.png --beside dqs", "possible values: lbs"),
         ("-o a.png --close-up high,wide", "such as leftHand,0.3"),
-        ("-o a.png --close-up high,-1", "a number above 0"),
+        ("-o a.png --close-up high,-1", "a radius above 0"),
         (
             "-o a.png --close-up tail,0.5",
             "\"tail\" is not a bone of the rig; it has low, high",
