@@ -68,8 +68,7 @@ fn refinement_bends_what_is_only_moved() {
     assert!(some < 0.2 * plain && more < 0.05 * plain, "{plain} {some} {more}");
 }
 
-/// How a rod fares that is twisted, or bent, by an angle: what it loses of its volume with it kept and let go, with few handles and
-/// the rod in between.
+/// What a rod that is twisted or bent by an angle between its ends loses of its volume: with it kept, and let go.
 fn volumes_lost(axis: DVec3, angle: f64) -> [f64; 2] {
     let shape = shapes::cylinder(0.5, 4.0, 32, 48, true);
     let mut bench = bench(&shape);
@@ -97,9 +96,9 @@ fn a_twist_keeps_its_volume_unless_it_may_go() {
             "{degrees}: {kept} and {free}"
         );
     }
-    // What hardly loses any changes little.
+    // A gentle bend loses little, and less with it kept.
     let [kept, free] = volumes_lost(DVec3::X, 0.4);
-    assert!(kept.abs() < free.abs().max(1e-3) && free < 0.01, "{kept} and {free}");
+    assert!(kept.abs() < free.abs() && free < 0.02, "{kept} and {free}");
 }
 
 /// Edges at which neighbours lie folded onto each other (their normals over 120° apart, under 90° in the rest pose), and crossing triangles.
