@@ -11,11 +11,12 @@ use super::error::Error;
 use super::handle::{Falloff, FalloffCurve};
 use super::resolved_handles::fading_weights;
 use crate::deform::{
-    FreeSurface, HandleSystem, LocalRotation, PoseRequest, Quality, SolveState, SolvedNodes, SurfaceFaults, TurnChange,
-    TurnChangeKind, VolumeScales, unfold_faces,
+    FaceSurroundings, FreeSurface, HandleSystem, LocalRotation, PoseRequest, Quality, SolveState, SolvedNodes,
+    SurfaceFaults, TurnChange, TurnChangeKind, VolumeScales, unfold_faces,
 };
 use crate::exec::Exec;
 use crate::mesh::{Mesh, signed_volume, surface_area};
+use std::sync::OnceLock;
 
 /// How often the pose is solved again with smoother rotations.
 const ROUNDS: u8 = 3;
@@ -38,6 +39,8 @@ pub(super) struct BuckleWatch<'a> {
     derived: &'a DerivedStructures,
     handles: &'a HandleSystem,
     request: PoseRequest<'a>,
+    /// Found where they are first asked for. They are not kept, so that what a session takes does not depend on what was solved.
+    surroundings: OnceLock<FaceSurroundings>,
     exec: &'a Exec<'a>,
 }
 
@@ -72,6 +75,7 @@ impl<'a> BuckleWatch<'a> {
             derived,
             handles,
             request,
+            surroundings: OnceLock::new(),
             exec,
         }
     }
@@ -79,8 +83,13 @@ impl<'a> BuckleWatch<'a> {
     /// Brings back what turned over, as in every commit.
     pub fn unfold(&self, solved: &mut SolvedNodes) {
         self.exec.progress.begin_pass("unfold");
-        let DerivedStructures { mesh, surroundings, .. } = self.derived;
-        unfold_faces(mesh, surroundings, self.handles, &mut solved.positions, self.exec.pool);
+        unfold_faces(
+            &self.derived.mesh,
+            &self.surroundings,
+            self.handles,
+            &mut solved.positions,
+            self.exec.pool,
+        );
     }
 
     /// Returns the fitted pose, which `state` has, or a better one.
@@ -94,7 +103,7 @@ impl<'a> BuckleWatch<'a> {
         }
         self.exec.progress.begin_pass("faults");
         let given = &self.handles.given()[..vertices];
-        let surface = FreeSurface::of(&self.derived.mesh, &self.derived.surroundings, given, self.exec.pool);
+        let surface = FreeSurface::of(&self.derived.mesh, &self.surroundings, given, self.exec.pool);
         if !surface.is_suspect(&fitted.positions[..vertices], self.exec)? {
             return Ok(fitted);
         }
