@@ -282,8 +282,15 @@ async fn what_the_first_version_wrote_opens_for_ever() {
     let finer = json!({"on": "REST", "subdivide": {"scheme": "MIDPOINT"}});
     server.done("POST", &path(id, "/edits"), Some(&finer)).await;
     turn(&server, id, 0.7).await;
-    let before = seen(&server, id).await;
+    let before = seen_apart_from_memory(&server, id).await;
     server.kill();
     let server = ServedProgram::start(&folder, &["--max-ttl", "366d"]);
-    assert_eq!(seen(&server, id).await, before);
+    assert_eq!(seen_apart_from_memory(&server, id).await, before);
+}
+
+/// What is kept of earlier states takes memory that a session which was just read does not take.
+async fn seen_apart_from_memory(server: &ServedProgram, id: &str) -> (Value, Value, Vec<u8>) {
+    let mut all = seen(server, id).await;
+    all.0["solver"].as_object_mut().expect("facts").remove("bytes");
+    all
 }
