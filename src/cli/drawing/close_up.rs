@@ -5,6 +5,7 @@ use crate::cli::terminal::{CliFailure, listed};
 use crate::mesh::BoundingBox;
 use crate::render::CloseView;
 use glam::DVec3;
+use std::collections::BTreeSet;
 
 /// How far a close-up reaches without a radius, in diagonals of the shape.
 const USUAL_REACH: f64 = 0.1;
@@ -156,7 +157,9 @@ fn refusal(problem: &str) -> CliFailure {
 fn unknown_name(name: &str, shape: &SeenShape<'_>) -> CliFailure {
     let primitives = shape.primitives.iter().map(|p| p.name.as_str());
     let marks = shape.marks.iter().map(|(own, _)| own.as_str());
-    let names: Vec<&str> = marks.chain(primitives).filter(|own| !own.is_empty()).collect();
+    // A bone and its node often share a name.
+    let mut seen = BTreeSet::from([""]);
+    let names: Vec<&str> = marks.chain(primitives).filter(|own| seen.insert(*own)).collect();
     let there = match names.is_empty() {
         true => "nothing here has a name".to_owned(),
         false => listed(names.into_iter(), ""),

@@ -110,7 +110,7 @@ fn pictures_that_make_no_sense_are_refused_before_anything_is_written() {
         ("-o a.png --close-up high,-1", "a radius above 0"),
         (
             "-o a.png --close-up tail,0.5",
-            "\"tail\" is not a bone of the rig; it has low, high",
+            "\"tail\" is not a bone, node or primitive; there are low, high",
         ),
     ];
     for (arguments, wanted) in cases {
