@@ -131,7 +131,11 @@ def test_a_handle_may_be_made_where_it_is_to_go(server: pliant.LocalServer) -> N
         assert np.array_equal(session.positions(), vertices.astype(np.float32)), "vertices keep their order"
         session.handle("base", vertices=vertices[:, 2] < 0.3)
         session.handle(
-            "top", vertices=np.flatnonzero(vertices[:, 2] > 3.7), translation=(1, 0, 0), rotation_vector=(0, 0.4, 0)
+            "top",
+            vertices=np.flatnonzero(vertices[:, 2] > 3.7),
+            translation=(1, 0, 0),
+            rotation_vector=(0, 0.4, 0),
+            pivot=tuple(vertices[vertices[:, 2] > 3.7].mean(axis=0)),
         )
         bent = session.solve()
         top = vertices[:, 2] > 3.7

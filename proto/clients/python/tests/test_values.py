@@ -251,6 +251,7 @@ EDITS = [
     ({"delete": {"fill": True}}, {"delete": {"fill": True}}),
     ({"fill": {}}, {"fill": {}}),
     ({"remesh": {"edge_length": 0.1}}, {"remesh": {"edgeLength": 0.1}}),
+    ({"smooth": {"kind": "relax"}}, {"smooth": {"kind": "RELAX"}}),
     ({"merge": {"session": "x", "transform": SIZE}}, {"merge": {"session": "x", "transform": SIZE.ravel()}}),
     ({"insert_curve": {"points": [(0, 0, 0), (1, 2, 3)]}}, {"insertCurve": {"points": [0, 0, 0, 1, 2, 3]}}),
     ({"weld": {"tolerance": 0.1}}, {"weld": {"tolerance": 0.1}}),

@@ -269,6 +269,19 @@ impl HandleChange {
     }
 }
 
+/// Poses with the pivots that they have now: where joints are depends on all handles, and one that comes or goes is not to move the
+/// others.
+pub(crate) fn with_pivots(poses: &HandlePoses, handles: &[pb::HandleFacts]) -> HandlePoses {
+    let pinned = poses.0.iter().zip(handles).map(|(pose, facts)| match facts.pivot[..] {
+        [x, y, z] if pose.moves() && !pose.free_rotation => HandlePose {
+            pivot: pose.pivot.or(Some([x, y, z].into())),
+            ..*pose
+        },
+        _ => *pose,
+    });
+    HandlePoses(Arc::new(pinned.collect()))
+}
+
 /// The set with every handle set where it is now.
 fn set_at_poses(current: &HandleSet, poses: &HandlePoses) -> HandleSet {
     let mut next = current.clone();

@@ -5,7 +5,7 @@ use crate::animation::frame_outbox::StageReporter;
 use crate::answers::{CommittedPose, ExportedModel};
 use crate::calls::command::{
     CallOrigin, ExportModel, HandleChange, HistoryDirection, PrepareAnimation, QueuedCall, RecallPose, SessionCommand,
-    TaskCall, WorkOrder,
+    TaskCall, WorkOrder, with_pivots,
 };
 use crate::calls::model_opening::{count_refusal, memory_needed, no_place};
 use crate::capacity::compute_slots::WorkLane;
@@ -131,7 +131,8 @@ impl SessionTask {
 impl RunCall for HandleChange {
     async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<pb::Session, Error> {
         let state = task.history.current();
-        let set = self.apply_to(&state.handles.set, &state.poses)?;
+        let poses = with_pivots(&state.poses, &state.facts.handles);
+        let set = self.apply_to(&state.handles.set, &poses)?;
         let limit = task.shared.config.build;
         let topology = state.topology.clone();
         let lane = lane_of_work(state.cost_of_handles(&set) <= LIGHT_HANDLES);
