@@ -2463,7 +2463,7 @@ export type Options = Message<"pliant.v1.Options"> & {
   /**
    * Rotation re-fits after the second pass, 0 to 1000. Absent = 4 for commits, 0 while dragging. 0 = the paper's two
    * passes. A commit without this and without rotation_smoothing also smooths rotations around folds and crossings, so that
-   * it has no more of them than without re-fits.
+   * with a fold counted as four crossings it has no more of them than without re-fits.
    *
    * @generated from field: optional uint32 refine = 5;
    */
@@ -2581,20 +2581,20 @@ export const Options_MethodSchema: GenEnum<Options_Method> = /*@__PURE__*/
   enumDesc(file_pliant_v1_pliant, 27, 1);
 
 /**
- * What becomes of the volume where a twist or a pull would lose some.
+ * What becomes of the volume where a twist would lose or a pull would gain some.
  *
  * @generated from enum pliant.v1.Options.Volume
  */
 export enum Options_Volume {
   /**
-   * A commit with re-fits gives it back, across the sections of what is between handles. Needs interior nodes.
+   * A commit with re-fits keeps it, section by section between handles, where no handle is scaled. Needs interior nodes.
    *
    * @generated from enum value: KEEP = 0;
    */
   KEEP = 0,
 
   /**
-   * It may go.
+   * It may change.
    *
    * @generated from enum value: FREE = 1;
    */
