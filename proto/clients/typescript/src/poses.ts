@@ -1,9 +1,13 @@
 /** Checks poses before they are sent; an error names its handle and field. */
 
 import { PliantError } from "./errors.js";
+import { HandlePoseSchema } from "./gen/pliant/v1/pliant_pb.js";
 
-/** Fields of a pose, and how many numbers each takes. */
-const FIELDS: Readonly<Record<string, readonly number[]>> = {
+/** Names of a pose's fields, as the schema has them. */
+const FIELDS: readonly string[] = HandlePoseSchema.fields.map(({ localName }) => localName);
+
+/** How many numbers those fields take that are lists; the others are true or false. */
+const COUNTS: Readonly<Record<string, readonly number[]>> = {
   translation: [3],
   rotation: [4],
   rotationVector: [3],
@@ -19,12 +23,14 @@ export function checkPoses(entries: readonly unknown[]): void {
     const refuse = (problem: string): never => {
       throw new PliantError("INVALID_ARGUMENT", `handle ${JSON.stringify(id)}: pose${problem}`);
     };
-    if (typeof pose !== "object") refuse(` is ${written(pose)}, an object with ${Object.keys(FIELDS).join(", ")} is allowed`);
+    if (typeof pose !== "object") refuse(` is ${written(pose)}, an object with ${FIELDS.join(", ")} is allowed`);
     for (const [field, value] of Object.entries(pose as object)) {
       if (field.startsWith("$") || value === undefined) continue;
-      const counts = Object.hasOwn(FIELDS, field) ? FIELDS[field] : undefined;
-      if (counts === undefined) refuse(`: ${field} is not a field of it; allowed are ${Object.keys(FIELDS).join(", ")}`);
-      else if (!isNumbers(value, [0, ...counts])) {
+      if (!FIELDS.includes(field)) refuse(`: ${field} is not a field of it; allowed are ${FIELDS.join(", ")}`);
+      const counts = COUNTS[field];
+      if (counts === undefined) {
+        if (typeof value !== "boolean") refuse(`.${field} is ${written(value)}, true or false is allowed`);
+      } else if (!isNumbers(value, [0, ...counts])) {
         refuse(`.${field} is ${written(value)}, a list of ${counts.join(" or ")} numbers is allowed`);
       }
     }

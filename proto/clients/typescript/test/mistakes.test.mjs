@@ -43,7 +43,8 @@ test("a pose that is none is told with its handle and field", async () => {
     [{ translation: "up" }, /^handle "head": pose\.translation is "up", a list of 3 numbers is allowed$/],
     [{ rotation: [0, 0, 1] }, /pose\.rotation is \[0,0,1\], a list of 4 numbers/],
     [{ scale: [1, 2] }, /pose\.scale is \[1,2\], a list of 1 or 3 numbers/],
-    [{ translate: [0, 0, 1] }, /translate is not a field of it; allowed are translation, rotation, rotationVector, scale, pivot/],
+    [{ translate: [0, 0, 1] }, /translate is not a field of it; allowed are translation, rotation, rotationVector, scale, pivot, freeRotation/],
+    [{ freeRotation: 1 }, /pose\.freeRotation is 1, true or false is allowed/],
     ["up", /pose is "up", an object/],
   ];
   for (const [pose, pattern] of wrong) {
@@ -51,6 +52,7 @@ test("a pose that is none is told with its handle and field", async () => {
     await assert.rejects(stream.commit([{ id: "head", pose }]), says(pattern));
   }
   stream.pose([{ id: "head", pose: { translation: [0, 1, 0], scale: [2] } }, { id: "feet" }]);
+  stream.pose([{ id: "head", pose: { translation: [0, 1, 0], freeRotation: true } }]);
   stream.close();
 });
 

@@ -37,7 +37,7 @@ export async function play({ browser, url, server, log }) {
   const session = await server.json("POST", "/v1/sessions", model, "model/gltf-binary");
   await server.json("PUT", `/v1/sessions/${session.id}/handles`, { handles: asHandles(handles) });
   const solved = await server.floats("POST", `/v1/sessions/${session.id}/solve`, {
-    pose: { handles: [{ id: handles[1].id, pose: asPose(pose) }] },
+    pose: { handles: [{ id: handles[1].id, pose: asPose(handles[1]) }] },
     options: { tolerance: 1e-4 },
   });
   const { worst, diagonal } = await shows(sheet, solved);

@@ -29,9 +29,9 @@ export async function play({ browser, url, server, log }) {
   await sheet.until("the page takes the session up", ({ link, busy }) => link === "open" && !busy);
   await sheet.page.waitForFunction(() => window.pliantViewer.handles().length === 2);
   const [feet, shown] = await sheet.ask("handles");
-  assert.deepEqual(feet.pose, { translation: [0, 0, 0], rotation: [0, 0, 0], scale: [1, 1, 1] });
-  // A quarter turn about y takes (x, z) to (z, -x): about the centroid instead of the pivot, the difference is moved.
-  const away = pivot.map((x, k) => x - head.centroid[k]);
+  assert.deepEqual(feet.pose, { translation: [0, 0, 0], rotation: [0, 0, 0], scale: [1, 1, 1], freely: false });
+  // A quarter turn about y takes (x, z) to (z, -x): about the page's pivot instead, the difference is moved.
+  const away = pivot.map((x, k) => x - shown.pivot[k]);
   const wanted = [away[0] - away[2], LIFT, away[2] + away[0]];
   shown.pose.translation.forEach((x, k) => assert.ok(Math.abs(x - wanted[k]) < 1e-9, `moved by ${shown.pose.translation}, not ${wanted}`));
   shown.pose.rotation.forEach((x, k) => assert.ok(Math.abs(x - [0, Math.PI / 2, 0][k]) < 1e-9, `turned by ${shown.pose.rotation}`));

@@ -36,15 +36,17 @@ export async function dragGrip(sheet, grip, by, { steps = 30, pause = 16 } = {})
 
 /** What the page's handles are in the words of the HTTP calls. */
 export function asHandles(handles, poses = false) {
-  return handles.map(({ id, vertices, pose }) => ({
-    id,
-    region: { vertices: { indices: vertices } },
-    ...(poses ? { pose: asPose(pose) } : {}),
+  return handles.map((handle) => ({
+    id: handle.id,
+    region: { vertices: { indices: handle.vertices } },
+    ...(poses ? { pose: asPose(handle) } : {}),
   }));
 }
 
-export function asPose({ translation, rotation, scale }) {
-  return { translation, rotationVector: rotation, scale };
+/** A pose as the page sends it: about the page's pivot, or with a turn that the server finds. */
+export function asPose({ pose, pivot }) {
+  const { translation, rotation, scale, freely } = pose;
+  return { translation, rotationVector: rotation, scale, ...(freely ? { freeRotation: true } : { pivot }) };
 }
 
 /** The largest distance between two buffers, and the diagonal of the second one's box. */

@@ -29,7 +29,7 @@ export async function play({ browser, server, folder, log }) {
     const session = await server.json("POST", "/v1/sessions?sample=creature");
     await server.json("PUT", `/v1/sessions/${session.id}/handles`, { handles: asHandles([feet, dragged]) });
     const solved = await server.floats("POST", `/v1/sessions/${session.id}/solve`, {
-      pose: { handles: [{ id: dragged.id, pose: asPose(dragged.pose) }] },
+      pose: { handles: [{ id: dragged.id, pose: asPose(dragged) }] },
     });
     assert.equal((await shows(sheet, solved)).worst, 0, "the shape is the one that was dragged to");
     const id = await sheet.ask("session");

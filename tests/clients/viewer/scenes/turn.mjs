@@ -35,7 +35,7 @@ export async function play({ browser, url, server, log }) {
   const session = await server.json("POST", "/v1/sessions?sample=creature");
   await server.json("PUT", `/v1/sessions/${session.id}/handles`, { handles: asHandles([feet, turned]) });
   const solved = await server.floats("POST", `/v1/sessions/${session.id}/solve`, {
-    pose: { handles: [{ id: turned.id, pose: asPose(turned.pose) }] },
+    pose: { handles: [{ id: turned.id, pose: asPose(turned) }] },
   });
   const { worst, diagonal } = await shows(sheet, solved);
   assert.ok(worst <= 1e-6 * diagonal, `shown and solved differ by ${worst}`);

@@ -14,7 +14,7 @@ export interface Probe {
   positions(): Float32Array;
   /** x, y, z of what is drawn in the left half, if something is. */
   beside(): Float32Array | undefined;
-  handles(): { id: string; name: string; vertices: number[]; pose: unknown; at: { x: number; y: number } | undefined }[];
+  handles(): { id: string; name: string; vertices: number[]; pose: unknown; pivot: readonly number[]; at: { x: number; y: number } | undefined }[];
   /** A vertex on the page, in CSS pixels. */
   place(vertex: number): { x: number; y: number } | undefined;
   /** Where the eye is, and what it looks at, in model space. */
@@ -69,6 +69,7 @@ export function installProbe(): void {
         name,
         vertices: [...(vertices ?? [])],
         pose,
+        pivot,
         at: place(new Vector3(...pivot).add(new Vector3(...pose.translation))),
       })),
     place: (vertex) => place(new Vector3().fromArray(shown(), vertex * 3)),

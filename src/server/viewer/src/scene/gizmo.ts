@@ -124,7 +124,7 @@ export class Gizmo {
 
   private follow(): void {
     const { x, y, z, w } = this.grip.quaternion;
-    this.rotation = nearestRotationVector([x, y, z, w], this.rotation);
+    if (this.mode === "rotate") this.rotation = nearestRotationVector([x, y, z, w], this.rotation);
     this.grip.scale.clampScalar(LEAST_SCALE, 1 / LEAST_SCALE);
   }
 
