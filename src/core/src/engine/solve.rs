@@ -124,10 +124,11 @@ impl Deformer {
             return Err(Error::Internal("handles without a system".into()));
         };
         let body = &derived.body;
+        let mut found = None;
         if !free.is_empty() {
             exec.progress.begin_pass("turn");
             let request = pose_request(&transforms, settings, mode, false);
-            transforms = handle_system.find_turns(body, &request, &free, state, exec)?;
+            (transforms, found) = handle_system.find_turns(body, &request, &free, state, exec)?;
         }
         let request = pose_request(&transforms, settings, mode, derived.shows_without_frames());
         let shape = ShapeTransfer {
@@ -150,7 +151,7 @@ impl Deformer {
         };
         // All other methods but the first are for comparison.
         let mut solved = match settings.method {
-            Method::Harmonic => with(FirstPass::Harmonic)?,
+            Method::Harmonic => found.map_or_else(|| with(FirstPass::Harmonic), Ok)?,
             Method::Diffusion => {
                 let turns = diffuse(body, handle_system, &transforms, exec)?;
                 with(FirstPass::Given(turns.as_deref()))?

@@ -4,12 +4,16 @@ use glam::DVec3;
 
 /// The longest step, radians: a turn is followed, not jumped to.
 const LONGEST_STEP: f64 = 1.0;
-/// How much further than the surest step one goes where nothing is known of a direction, at most.
+/// How much further than the surest step one goes where nothing is known of a direction, at first,
+const FIRST_GUESS: f64 = 8.0;
+/// and at most.
 const FARTHEST: f64 = 64.0;
 /// How many differences of torques are remembered.
 const REMEMBERED: usize = 6;
 /// A difference that is this much one of newer ones adds nothing.
 const LEAST_NEW: f64 = 1e-2;
+/// What shorter steps change, radians, is lost in what solves leave undone.
+const LEAST_LEARNT: f64 = 4e-3;
 /// A step that makes torques this much larger was wrong.
 const MUCH_LARGER: f64 = 2.0;
 
@@ -19,15 +23,49 @@ pub(crate) struct TurnSteps {
     /// The holds whose turns they are.
     holds: Vec<usize>,
     steps: Vec<(Vec<DVec3>, Vec<DVec3>)>,
+    /// What the last pose of a drag says of the next one.
+    outlook: Outlook,
+}
+
+/// Turns by hold at the end of one pose of a drag; empty where there is none.
+#[derive(Debug, Clone, Default)]
+struct Outlook {
+    /// Those that were solved with.
+    solved: Vec<DVec3>,
+    /// Those that are best for it as far as is known.
+    best: Vec<DVec3>,
+    /// Those of the next pose, if it comes as far as this one did.
+    next: Vec<DVec3>,
 }
 
 impl TurnSteps {
     /// Begins with these holds; what is known of others is forgotten.
     pub(super) fn begin(&mut self, holds: &[usize]) {
         if self.holds != holds {
-            self.steps.clear();
+            self.clear();
             self.holds = holds.to_vec();
         }
+    }
+
+    /// Looks ahead from a pose of a drag that was solved with some turns and has a step left: it goes on as it came.
+    pub(super) fn look_ahead(&mut self, solved: Vec<DVec3>, step: &[DVec3]) {
+        let mut best = solved.clone();
+        add(&mut best, step, 1.0);
+        let mut next = best.clone();
+        if self.outlook.best.len() == best.len() {
+            add(&mut next, &best, 1.0);
+            add(&mut next, &self.outlook.best, -1.0);
+        }
+        self.outlook = Outlook { solved, best, next };
+    }
+
+    /// The turns to begin a pose of a drag with, whose last one was solved with `solved`.
+    pub(super) fn expected(&mut self, solved: Vec<DVec3>) -> Vec<DVec3> {
+        if self.outlook.solved != solved {
+            self.outlook = Outlook::default();
+            return solved;
+        }
+        self.outlook.next.clone()
     }
 
     /// Keeps what a step has changed of the torques, `now` from what they were `before` it. A step that has made them much larger
@@ -37,6 +75,9 @@ impl TurnSteps {
             self.steps.clear();
             return;
         }
+        if length(&turned) < LEAST_LEARNT {
+            return;
+        }
         let changed = now.iter().zip(before).map(|(now, before)| *now - *before).collect();
         if self.steps.len() == REMEMBERED {
             self.steps.remove(0);
@@ -44,8 +85,9 @@ impl TurnSteps {
         self.steps.push((turned, changed));
     }
 
-    /// The step that ends a torque as far as is known, and follows what is left of it elsewhere.
-    pub(super) fn step(&self, torque: &[DVec3]) -> Vec<DVec3> {
+    /// The step that ends a torque as far as is known, and follows what is left of it elsewhere; and how long it would be if that
+    /// gave way as far as anything does.
+    pub(super) fn step(&self, torque: &[DVec3]) -> (Vec<DVec3>, f64) {
         let mut left = torque.to_vec();
         let mut step = vec![DVec3::ZERO; left.len()];
         let mut known: Vec<(Vec<DVec3>, Vec<DVec3>)> = Vec::new();
@@ -70,22 +112,28 @@ impl TurnSteps {
             known.push((turned, changed));
         }
         // Turns resist far less than with all around them held, and all about as much.
-        let easier = known.iter().map(|(turned, _)| length(turned)).fold(1.0, f64::max);
+        let easier = known
+            .iter()
+            .map(|(turned, _)| length(turned))
+            .fold(FIRST_GUESS, f64::max);
+        let at_most = length(&step) + FARTHEST * length(&left);
         add(&mut step, &left, -easier.min(FARTHEST));
         let longest = step.iter().map(|s| s.length()).fold(0.0, f64::max);
         if longest > LONGEST_STEP {
             step.iter_mut().for_each(|s| *s *= LONGEST_STEP / longest);
         }
-        step
+        (step, at_most)
     }
 
     pub(crate) fn clear(&mut self) {
         self.steps.clear();
+        self.outlook = Outlook::default();
     }
 
     pub(crate) fn byte_size(&self) -> usize {
         let of_pair = |pair: &(Vec<DVec3>, Vec<DVec3>)| pair.0.capacity() + pair.1.capacity();
-        self.steps.iter().map(of_pair).sum::<usize>() * size_of::<DVec3>()
+        let of_drag = 3 * self.outlook.solved.capacity();
+        (self.steps.iter().map(of_pair).sum::<usize>() + of_drag) * size_of::<DVec3>()
     }
 }
 

@@ -3,7 +3,8 @@
 //! The energy of a pose is Σ w |x_i − x_j − ½ (M_i + M_j)(p_i − p_j)|² over edges, with positions solved for. A handle's turn
 //! moves its own nodes about its pivot, and turns every node's M by the node's share of it. What the energy loses by that is a
 //! torque, and the turn is right where it is zero: a bar whose end is dragged aside then bends as an arc. Each torque costs one solve
-//! from the last solution; steps come of the differences of earlier ones (Anderson 1965), so that a few suffice.
+//! from the last solution; steps come of the differences of earlier ones (Anderson 1965), so that a few suffice. Frames of a drag
+//! begin where the last ones lead, and most of them need no solve but their own.
 
 use crate::body::DeformableBody;
 use crate::error::Error;
@@ -16,19 +17,19 @@ use pliant_exec::Exec;
 use pliant_exec::pool::Pool;
 use rayon::prelude::*;
 
-/// Steps at most where a pose is solved from nothing, and for one frame of a drag.
-const MOST_STEPS: usize = 24;
-const MOST_STEPS_OF_DRAG: usize = 2;
-/// Steps shorter than this, radians, are not worth another solve, likewise.
+/// Solves at most where a pose is solved from nothing, and for one frame of a drag.
+const MOST_SOLVES: usize = 24;
+const MOST_SOLVES_OF_DRAG: usize = 2;
+/// Steps shorter than this, radians, are not worth another solve, likewise. A drag takes them with its next frame.
 const NEAR_ENOUGH: f64 = 2e-4;
-const NEAR_ENOUGH_OF_DRAG: f64 = 4e-3;
+const NEAR_ENOUGH_OF_DRAG: f64 = 1e-2;
 /// Nodes that one piece of work handles.
 const PIECE: usize = 4096;
 
 impl HandleSystem {
     /// The transforms of a pose with the rotations found of those holds that `free` names; the rotations of `request` are where the
     /// search begins, and where it goes on in a warm solve those of the solve before. As many solves as steps; a warm one leaves `state`
-    /// with the last of them.
+    /// with the last of them, which is the pose's own where `request` asks for no more than that.
     ///
     /// # Errors
     /// [`Error::Solver`], [`Error::Cancelled`]. `state` stays usable after either.
@@ -39,28 +40,32 @@ impl HandleSystem {
         free: &[usize],
         state: &mut SolveState,
         exec: &Exec<'_>,
-    ) -> Result<Vec<Transform>, Error> {
+    ) -> Result<(Vec<Transform>, Option<SolvedNodes>), Error> {
         let mut transforms = request.transforms.to_vec();
         let warm = request.start == SolveStart::Warm;
         let free: Vec<usize> = free.iter().copied().filter(|&k| self.is_turnable(k)).collect();
         if free.is_empty() || !self.moved_parts(body, &transforms).contains(&true) {
-            return Ok(transforms);
+            return Ok((transforms, None));
         }
+        let rotations = |of: &[Transform]| -> Vec<DVec3> { free.iter().map(|&k| of[k].rotation).collect() };
         if warm && state.transforms.len() == transforms.len() {
+            state.turning.begin(&free);
+            let expected = state.turning.expected(rotations(&state.transforms));
             free.iter()
-                .for_each(|&k| transforms[k].rotation = state.transforms[k].rotation);
+                .zip(expected)
+                .for_each(|(&k, turn)| transforms[k].rotation = turn);
         }
         // A pose that is solved from nothing does not depend on what was solved before it.
         let mut own = SolveState::default();
         let state = if warm { state } else { &mut own };
         state.turning.begin(&free);
         let (most, near) = match warm {
-            true => (MOST_STEPS_OF_DRAG, NEAR_ENOUGH_OF_DRAG),
-            false => (MOST_STEPS, NEAR_ENOUGH),
+            true => (MOST_SOLVES_OF_DRAG, NEAR_ENOUGH_OF_DRAG),
+            false => (MOST_SOLVES, NEAR_ENOUGH),
         };
         let mut last: Option<(Vec<DVec3>, Vec<DVec3>)> = None;
-        for count in 0..most {
-            let start = if warm || count > 0 {
+        for count in 1..=most {
+            let start = if warm || count > 1 {
                 SolveStart::Warm
             } else {
                 SolveStart::Fresh
@@ -68,24 +73,29 @@ impl HandleSystem {
             let search = search_request(&transforms, request, start);
             let solved = self.solve(body, &search, state, exec, &mut |_| true)?;
             let torque = self.torques(body, &transforms, &solved, &free, exec.pool);
-            state.recycle(solved.positions, solved.frames);
             if let Some((step, before)) = last.take() {
                 state.turning.remember(step, &before, &torque);
             }
-            let step = state.turning.step(&torque);
+            let (step, at_most) = state.turning.step(&torque);
             let longest = step.iter().map(|s| s.length()).fold(0.0, f64::max);
             if !longest.is_finite() {
                 return Err(Error::Solver("a turn left the range of numbers".into()));
             }
+            let is_last = count == most || if warm { at_most } else { longest } < near;
+            if is_last && warm {
+                state.turning.look_ahead(rotations(&transforms), &step);
+                return Ok((transforms, (request.steps() == 0).then_some(solved)));
+            }
+            state.recycle(solved.positions, solved.frames);
             for (&k, step) in free.iter().zip(&step) {
                 transforms[k].rotation += *step;
             }
-            if longest < near {
+            if is_last {
                 break;
             }
             last = Some((step, torque));
         }
-        Ok(transforms)
+        Ok((transforms, None))
     }
 
     /// Whether a turn of a hold changes anything but all of it alike.
@@ -105,7 +115,7 @@ impl HandleSystem {
         if solved.frames.len() != body.nodes() {
             return vec![DVec3::ZERO; free.len()];
         }
-        let nodes = EdgeTorques { body, solved };
+        let posed = PosedNodes { body, solved };
         let pieces = body.nodes().div_ceil(PIECE);
         let of_hold = |&hold: &usize| {
             let field = self.blending_fields.as_ref().unwrap_or(&self.rotation_fields).of(hold);
@@ -114,11 +124,27 @@ impl HandleSystem {
             let of_piece = |piece: usize| {
                 let mut sum = (DVec3::ZERO, 0.0);
                 for node in piece * PIECE..((piece + 1) * PIECE).min(body.nodes()) {
-                    if field[node] > 0.0 {
-                        nodes.add_turn(node, f64::from(field[node]), &mut sum);
-                    }
-                    if is_held(node) {
-                        nodes.add_force(node, place, &is_held, &mut sum);
+                    let here = posed.node(node);
+                    for (other, weight) in body.edges(node).filter(|(other, _)| *other < node) {
+                        let shares = [node, other].map(|end| f64::from(field[end]));
+                        let held = [node, other].map(is_held);
+                        if shares == [0.0; 2] && held[0] == held[1] {
+                            continue;
+                        }
+                        let ends = [&here, &posed.node(other)];
+                        let edge = here.rest - ends[1].rest;
+                        // The edge as the frame of each end would have it, and what it lacks of their mean.
+                        let own = ends.map(|end| end.frame * edge);
+                        let missing = here.at - ends[1].at - (own[0] + own[1]) * 0.5;
+                        for (own, share) in own.into_iter().zip(shares) {
+                            sum.0 -= own.cross(missing) * (0.5 * weight * share);
+                            sum.1 += 0.25 * weight * own.length_squared() * share * share;
+                        }
+                        if held[0] != held[1] {
+                            let arm = ends[usize::from(held[1])].at - place;
+                            sum.0 += arm.cross(missing) * if held[0] { weight } else { -weight };
+                            sum.1 += weight * arm.length_squared();
+                        }
                     }
                 }
                 sum
@@ -132,7 +158,7 @@ impl HandleSystem {
             for &(node, _, stiffness) in self.position.soft.iter().filter(|pull| pull.1 == hold as u32) {
                 let target = body.solving_from_model(map(body.graph.positions[node as usize]));
                 let arm = target - place;
-                torque += arm.cross(target - nodes.at(node as usize)) * stiffness;
+                torque += arm.cross(target - posed.at(node as usize)) * stiffness;
                 resistance += stiffness * arm.length_squared();
             }
             if resistance > 0.0 {
@@ -160,52 +186,28 @@ fn search_request<'a>(transforms: &'a [Transform], wanted: &PoseRequest<'_>, sta
     }
 }
 
-/// Torques of edges in a solution, each with how much it resists.
-struct EdgeTorques<'a> {
+/// The nodes of a solution, in solving coordinates.
+struct PosedNodes<'a> {
     body: &'a DeformableBody,
     solved: &'a SolvedNodes,
 }
 
-impl EdgeTorques<'_> {
+struct PosedNode {
+    rest: DVec3,
+    at: DVec3,
+    frame: DMat3,
+}
+
+impl PosedNodes<'_> {
     fn at(&self, node: usize) -> DVec3 {
         self.body.solving_from_model(self.solved.positions[node])
     }
 
-    fn frame(&self, node: usize) -> DMat3 {
-        Mat3::from_cols_array(&self.solved.frames[node]).as_dmat3()
-    }
-
-    /// An edge of a node's as the frames of its ends would have it, and what it lacks of that.
-    fn edge(&self, node: usize, other: usize) -> (DVec3, DVec3) {
-        let edge = self.body.rest(node) - self.body.rest(other);
-        let own = self.frame(node) * edge;
-        (
-            own,
-            self.at(node) - self.at(other) - (own + self.frame(other) * edge) * 0.5,
-        )
-    }
-
-    /// Adds the torque on a node's rotation, which follows by a share.
-    fn add_turn(&self, node: usize, share: f64, (torque, resistance): &mut (DVec3, f64)) {
-        for (other, weight) in self.body.edges(node) {
-            let (own, missing) = self.edge(node, other);
-            *torque -= own.cross(missing) * (0.5 * weight * share);
-            *resistance += 0.25 * weight * own.length_squared() * share * share;
-        }
-    }
-
-    /// Adds the torque of a held node's edges on its position about a place.
-    fn add_force(
-        &self,
-        node: usize,
-        place: DVec3,
-        is_held: &impl Fn(usize) -> bool,
-        (torque, resistance): &mut (DVec3, f64),
-    ) {
-        let arm = self.at(node) - place;
-        for (other, weight) in self.body.edges(node).filter(|(other, _)| !is_held(*other)) {
-            *torque += arm.cross(self.edge(node, other).1) * weight;
-            *resistance += weight * arm.length_squared();
+    fn node(&self, node: usize) -> PosedNode {
+        PosedNode {
+            rest: self.body.rest(node),
+            at: self.at(node),
+            frame: Mat3::from_cols_array(&self.solved.frames[node]).as_dmat3(),
         }
     }
 }
