@@ -11,7 +11,7 @@ use super::exec::Exec;
 use super::progress::Progress as _;
 use super::wire::{
     DeformOptions, Error, change_poses, edit, edit_name, edit_result, followed_message, handle_set, open_options, pb,
-    quality_message, session_message, warning_message,
+    quality_message, session_message, warning_message, written_warnings,
 };
 use crate::exec::stage_clock::StageClock;
 use crate::wire::pb::step::Step;
@@ -154,6 +154,13 @@ pub fn run_and_write(
     warnings.extend(large_faces_warning(&quality));
     warnings.extend(pulled.iter().map(warning_message));
     warnings.extend(idle.iter().map(|id| idle_handle_warning(id)));
+    warnings.extend(written_warnings(&written));
+    for file in &carried {
+        warnings.extend(written_warnings(&file.written).into_iter().map(|warning| pb::Warning {
+            message: format!("{}: {}", file.path, warning.message),
+            ..warning
+        }));
+    }
     let report = pb::Report {
         passengers,
         followed: followed_message(&written.followed),

@@ -8,6 +8,7 @@ mod cut_hostile;
 mod dragon;
 mod edit_support;
 mod marathon;
+mod named_numbers;
 mod no_numbers;
 mod remesh;
 mod soups;

@@ -8,9 +8,11 @@
 //! and which polygons still stand ([`origins`]). The codecs write the files.
 
 mod blends;
+mod lines;
 mod origins;
 
 pub use blends::{VertexBlend, VertexBlends};
+pub(super) use lines::FollowedLines;
 pub(super) use origins::{CarriedAttributes, FaceOutlines, RunFaces, TriangleOrigins};
 
 use super::model::FileNotes;

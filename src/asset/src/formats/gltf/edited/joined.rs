@@ -122,6 +122,7 @@ impl<'a> BaseJoiner<'_, 'a> {
                         is_frame: false,
                         turns: self.turns,
                         tally: &mut *self.tally,
+                        dropped: Default::default(),
                     };
                     let row = &notes.rows[run.primitive as usize];
                     let space = MeshSpace::OfNode(world_from_root * root_from_mesh);

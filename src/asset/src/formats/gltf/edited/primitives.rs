@@ -17,6 +17,7 @@ use crate::codec::EditedOutput;
 use crate::edited::{CarriedAttributes, EditedModel, PrimitiveRun, VertexBlend};
 use crate::model::position_bits;
 use glam::{DAffine3, DVec3, Vec3, Vec4};
+use std::collections::BTreeSet;
 
 /// A primitive's accessors by attribute, of itself and of each morph target, and its indices.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -48,6 +49,8 @@ pub(super) struct PrimitiveMaker<'a, 'f> {
     /// How the surface turned around the vertices of the edited model, for morph targets.
     pub(super) turns: &'a EditedTurns<'a>,
     pub(super) tally: &'a mut TargetTally,
+    /// Extensions that were left out of primitives and meshes, because what they name is gone.
+    pub(super) dropped: BTreeSet<&'static str>,
 }
 
 impl<'a> PrimitiveMaker<'a, '_> {
