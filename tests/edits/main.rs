@@ -2,6 +2,7 @@
 
 mod attributes;
 mod attributes_text;
+mod cleaning;
 mod commands;
 mod cut;
 mod cut_hostile;
@@ -10,6 +11,7 @@ mod edit_support;
 mod marathon;
 mod named_numbers;
 mod no_numbers;
+mod nothing_lost;
 mod remesh;
 mod soups;
 mod statue;

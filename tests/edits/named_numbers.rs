@@ -226,9 +226,9 @@ fn edges_of_a_ply_follow() {
     let fine = edited(files.clone(), &[halved(), halved()], None);
     let text = String::from_utf8(fine.written.main.clone()).expect("text");
     assert!(text.contains("element edge 8\nproperty uint vertex1\n"), "{text}");
-    let rows: Vec<&str> = text.lines().rev().take(4).collect();
+    let rows: Vec<&str> = text.lines().rev().take(8).collect();
     assert!(
-        rows[3].starts_with(&format!("{a} ")) && rows[3].ends_with(" 0.5"),
+        rows[7].starts_with(&format!("{a} ")) && rows[4].ends_with(" 0.5"),
         "{rows:?}"
     );
     assert!(warned(&fine, "left-out").is_empty());

@@ -108,6 +108,11 @@ impl<'a> EditedModel<'a> {
         runs.filter(move |run| run.base == base && run.triangle_count > 0)
     }
 
+    /// Whether a run draws something: triangles, or points and lines, which never had any.
+    pub(super) fn is_drawn(&self, run: &PrimitiveRun) -> bool {
+        run.triangle_count > 0 || self.primitive(run).index_count == 0
+    }
+
     /// The base of a run. Checked by [`check`].
     pub(super) fn base(&self, run: &PrimitiveRun) -> &BaseModel<'a> {
         &self.bases[run.base as usize]

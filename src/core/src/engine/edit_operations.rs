@@ -1,6 +1,7 @@
 //! Edits as operations on a surface: regions become triangles, another model is appended.
 
 use super::DeformerLimits;
+use super::clean::unwanted_faces;
 use super::edit_command::{CutLine, Edit, EditKind, MergeJoin, ModelMerge, OwnCap, SmoothCommand, SmoothKind};
 use super::edit_surface::EditSurface;
 use super::error::Error;
@@ -13,8 +14,8 @@ use super::seams::Seams;
 use super::shape::Shading;
 use crate::asset::Model;
 use crate::edit::{
-    CreaseOptions, CutOptions, CutPlane, LoopPair, RemeshOptions, RemeshTarget, SmoothOptions, SurfaceCurve,
-    SurfacePatch, SurfaceView,
+    CreaseOptions, CutOptions, CutPlane, EditWarning, LoopPair, RemeshOptions, RemeshTarget, SmoothOptions,
+    SurfaceCurve, SurfacePatch, SurfaceView,
 };
 use crate::exec::Exec;
 use crate::mesh::{Adjacency, BoundingBox, Mesh, NONE, Weld, mean_edge_length};
@@ -130,6 +131,17 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
             edit::insert_curve(&surface, &curve, *closed, progress)?
         }
         Edit::Weld { tolerance } => plan_weld(context, *tolerance, exec)?,
+        Edit::Clean(clean) => match unwanted_faces(&surface, clean, exec)?.as_slice() {
+            [] => SurfacePatch {
+                warnings: vec![EditWarning::new(
+                    "clean-nothing",
+                    "every part and every triangle stays",
+                    "",
+                )],
+                ..SurfacePatch::default()
+            },
+            faces => edit::delete_faces(&surface, faces, false, progress)?,
+        },
     };
     if let Some(cap) = edit.own_cap() {
         context.add_caps(&mut patch, cap);

@@ -188,17 +188,14 @@ pub(super) fn beyond_conversion(doc: &GltfDocument<'_>, is_merged: bool) -> Vec<
         .and_then(|own| value_of(own, "KHR_lights_punctual"))
         .map_or(0, |own| list_of(own, "lights").len());
     let targets = primitives().map(|p| p.targets.len()).sum::<usize>();
+    let drawn = primitives().filter(|p| p.mode() < 4 && !is_merged).count();
     let mut found: Vec<String> = [
         counted(doc.skins.len(), "skin", "skins"),
         counted(doc.animations.len(), "animation", "animations"),
         counted(if is_merged { 0 } else { targets }, "morph target", "morph targets"),
         counted(listed("cameras"), "camera", "cameras"),
         counted(lights, "light", "lights"),
-        counted(
-            primitives().filter(|p| p.mode() < 4).count(),
-            "primitive of points or lines",
-            "primitives of points or lines",
-        ),
+        counted(drawn, "primitive of points or lines", "primitives of points or lines"),
     ]
     .into_iter()
     .flatten()

@@ -50,9 +50,7 @@ pub(super) fn remake_meshes<'a>(
 ) -> Result<EditedMeshes, Error> {
     let doc = maker.doc;
     let mut runs_of: BTreeMap<usize, Vec<&PrimitiveRun>> = BTreeMap::new();
-    // Points and lines never had triangles.
-    let draws = |run: &PrimitiveRun| run.triangle_count > 0 || notes.rows[run.primitive as usize].triangles.is_empty();
-    for run in runs.iter().filter(|run| draws(run)) {
+    for run in runs.iter().filter(|run| maker.edited.is_drawn(run)) {
         runs_of.entry(run.primitive as usize).or_default().push(run);
     }
     let mut rows_of: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
@@ -166,7 +164,7 @@ fn primitive_text(
         text = maker.with_outline(run, &text)?;
         text = maker.with_feature_numbers(run, &text, &mut made.attributes);
         text = with_member(&text, "indices", indices);
-        if value_of(&text, "mode").is_some() {
+        if value_of(&text, "mode").is_some() && made.mode.is_none() {
             text = with_member(&text, "mode", "4");
         }
     }

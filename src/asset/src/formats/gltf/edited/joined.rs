@@ -35,7 +35,8 @@ pub(super) fn join_bases(
     let mut joined = JoinedBases::of_caps(output.edited);
     let EditedOutput { edited, positions, .. } = *output;
     for (i, base) in edited.bases.iter().enumerate().skip(1) {
-        let own: Vec<&PrimitiveRun> = edited.runs_with_triangles(i as u32).collect();
+        let of_base = edited.runs.iter().filter(|run| run.base as usize == i);
+        let own: Vec<&PrimitiveRun> = of_base.filter(|run| edited.is_drawn(run)).collect();
         if own.is_empty() {
             continue;
         }
@@ -201,6 +202,7 @@ impl<'a> BaseJoiner<'_, 'a> {
                 attributes: AccessorNumbers::new(),
                 targets: Vec::new(),
                 indices: None,
+                mode: None,
             };
             let mut add = |name: &str, at: usize| {
                 made.attributes.insert(name.into(), at);
@@ -272,6 +274,7 @@ impl<'a> BaseJoiner<'_, 'a> {
 fn primitive_text(made: &MadePrimitive, material: Option<usize>, with_targets: bool) -> String {
     let mut members = vec![("attributes", json_object(&made.attributes))];
     members.extend(made.indices.map(|at| ("indices", at.to_string())));
+    members.extend(made.mode.map(|mode| ("mode", mode.to_string())));
     if with_targets && !made.targets.is_empty() {
         members.push(("targets", json_array(made.targets.iter().map(json_object))));
     }

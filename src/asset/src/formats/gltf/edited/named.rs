@@ -2,6 +2,8 @@
 
 use super::super::builder::AccessorKind;
 use super::super::extensions::{FEATURES, OUTLINE};
+use super::super::read::PlacedPrimitive;
+use super::super::schema::MeshPrimitive;
 use super::super::text::{index_of, json_array, list_of, value_of, with_member, without_extensions};
 use super::blended::AccessorNumbers;
 use super::primitives::PrimitiveMaker;
@@ -9,6 +11,28 @@ use crate::Error;
 use crate::edited::{FollowedLines, PrimitiveRun};
 
 impl PrimitiveMaker<'_, '_> {
+    /// Writes which of the new vertices points and lines are drawn between.
+    pub(super) fn followed_elements(
+        &mut self,
+        run: &PrimitiveRun,
+        row: &PlacedPrimitive,
+        primitive: &MeshPrimitive,
+    ) -> Result<usize, Error> {
+        let stored = match primitive.indices {
+            Some(indices) => {
+                self.doc.decode_for([indices.index()].into_iter())?;
+                self.doc.read_indices(indices.index())?
+            }
+            None => (0..row.vertices.len() as u32).collect(),
+        };
+        let followed = FollowedLines::of_runs(self.edited, std::iter::once(run));
+        let now = |old: &u32| followed.vertex((row.vertices.start as u32).saturating_add(*old));
+        let numbers: Option<Vec<u32>> = stored.iter().map(now).collect();
+        let numbers = numbers.ok_or_else(|| self.fault.unwritable("a vertex of points or lines is gone"))?;
+        let own: Vec<u32> = numbers.iter().map(|v| v - run.first_vertex).collect();
+        Ok(self.fresh.add_numbers_of_vertices(&own, run.vertex_count as usize))
+    }
+
     /// A primitive or mesh without an extension, which is noted where it was there.
     pub(super) fn without_extension(&mut self, text: &str, name: &'static str) -> String {
         let left = without_extensions(text, &[name]);

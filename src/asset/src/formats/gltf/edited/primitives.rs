@@ -26,6 +26,8 @@ pub(super) struct MadePrimitive {
     pub(super) targets: Vec<AccessorNumbers>,
     /// `None` where the stored ones stay, with the stored mode.
     pub(super) indices: Option<usize>,
+    /// What is drawn, where that is points or lines.
+    pub(super) mode: Option<u64>,
 }
 
 /// Where the mesh of a made primitive is drawn.
@@ -78,6 +80,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
                 return Ok(None);
             }
         }
+        let mode = Some(primitive.mode()).filter(|mode| *mode < 4);
         let carried = CarriedAttributes::new(self.edited, run, self.positions);
         let mixer = AttributeBlender::new(self.edited, run);
         // A merged model leaves its skeleton behind.
@@ -127,12 +130,16 @@ impl<'a> PrimitiveMaker<'a, '_> {
                 // Read as it is drawn, written as it is stored: turned round.
                 triangles.iter_mut().for_each(|t| t.swap(1, 2));
             }
-            Some(self.fresh.add_indices(&triangles, run.vertex_count as usize))
+            Some(match mode {
+                Some(_) => self.followed_elements(run, row, primitive)?,
+                None => self.fresh.add_indices(&triangles, run.vertex_count as usize),
+            })
         };
         Ok(Some(MadePrimitive {
             attributes,
             targets,
             indices,
+            mode,
         }))
     }
 
