@@ -95,7 +95,8 @@ impl Edited {
     /// Positions and triangles in the order of a file: points and lines come behind all that has triangles.
     pub fn as_read(&self) -> (Vec<DVec3>, Vec<[u32; 3]>) {
         let (mut positions, mut triangles) = (Vec::new(), Vec::new());
-        let (faces, others): (Vec<_>, Vec<_>) = self.runs.iter().partition(|run| run.triangle_count > 0);
+        let (faces, others): (Vec<&PrimitiveRun>, Vec<&PrimitiveRun>) =
+            self.runs.iter().partition(|run| run.triangle_count > 0);
         for run in faces.into_iter().chain(others) {
             let first = positions.len() as u32;
             let own = &self.triangles[run.triangles()];

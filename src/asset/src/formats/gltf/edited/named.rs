@@ -20,7 +20,7 @@ impl PrimitiveMaker<'_, '_> {
     ) -> Result<usize, Error> {
         let stored = match primitive.indices {
             Some(indices) => {
-                self.doc.decode_for([indices.index()].into_iter())?;
+                self.doc.decode_for([indices.index()])?;
                 self.doc.read_indices(indices.index())?
             }
             None => (0..row.vertices.len() as u32).collect(),
@@ -51,7 +51,7 @@ impl PrimitiveMaker<'_, '_> {
         let Some(indices) = indices else {
             return Ok(self.without_extension(text, OUTLINE));
         };
-        self.doc.decode_for([indices].into_iter())?;
+        self.doc.decode_for([indices])?;
         let Ok(pairs) = self.doc.read_indices(indices) else {
             return Ok(self.without_extension(text, OUTLINE));
         };
