@@ -2,7 +2,9 @@
 
 use super::DeformerLimits;
 use super::clean::unwanted_faces;
-use super::edit_command::{CutLine, Edit, EditKind, MergeJoin, ModelMerge, OwnCap, SmoothCommand, SmoothKind};
+use super::edit_command::{
+    CleanCommand, CutLine, Edit, EditKind, MergeJoin, ModelMerge, OwnCap, SmoothCommand, SmoothKind,
+};
 use super::edit_surface::EditSurface;
 use super::error::Error;
 use super::handle::Region;
@@ -131,17 +133,7 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
             edit::insert_curve(&surface, &curve, *closed, progress)?
         }
         Edit::Weld { tolerance } => plan_weld(context, *tolerance, exec)?,
-        Edit::Clean(clean) => match unwanted_faces(&surface, clean, exec)?.as_slice() {
-            [] => SurfacePatch {
-                warnings: vec![EditWarning::new(
-                    "clean-nothing",
-                    "every part and every triangle stays",
-                    "",
-                )],
-                ..SurfacePatch::default()
-            },
-            faces => edit::delete_faces(&surface, faces, false, progress)?,
-        },
+        Edit::Clean(clean) => plan_cleaning(&surface, clean, exec)?,
     };
     if let Some(cap) = edit.own_cap() {
         context.add_caps(&mut patch, cap);
@@ -262,6 +254,19 @@ fn plan_smoothing(
     (context.surface.seams).spread_blends(&mut patch, &context.surface.triangles);
     context.surface.follow_moves(&patch);
     Ok(patch)
+}
+
+/// Takes away what a cleaning names.
+fn plan_cleaning(surface: &SurfaceView<'_>, clean: &CleanCommand, exec: &Exec<'_>) -> Result<SurfacePatch, Error> {
+    let faces = unwanted_faces(surface, clean, exec)?;
+    if faces.is_empty() {
+        let warning = EditWarning::new("clean-nothing", "every part and every triangle stays", "");
+        return Ok(SurfacePatch {
+            warnings: vec![warning],
+            ..SurfacePatch::default()
+        });
+    }
+    Ok(edit::delete_faces(surface, &faces, false, exec.progress)?)
 }
 
 /// Joins points; and the render vertices of each point that differ in nothing, as files without indices have them.

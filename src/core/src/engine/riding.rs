@@ -97,7 +97,7 @@ pub(super) struct RidingVertices {
 pub(super) struct RidingModel<'a> {
     pub mesh: &'a Mesh,
     pub primitives: &'a [Primitive],
-    /// Where the render vertices are at rest.
+    /// Where the render vertices are in the rest pose.
     pub rest: &'a [DVec3],
     /// Whether those in no triangle do, of primitives that are no passengers.
     pub loose: bool,

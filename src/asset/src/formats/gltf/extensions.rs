@@ -12,7 +12,7 @@ use std::fmt::Write as _;
 pub(super) enum ExtensionFate {
     /// It stays as it is stored, and what it names changes with the shape.
     Follows,
-    /// pliant writes it anew, or what it said in another way.
+    /// pliant writes it again, or what it said in another way.
     Rewritten,
     /// It is left out where it would be wrong, with a warning.
     Dropped,

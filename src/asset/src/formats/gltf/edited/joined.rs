@@ -88,13 +88,7 @@ impl<'a> BaseJoiner<'_, 'a> {
             runs_of.entry((row.node, row.primitive)).or_default().push(run);
         }
         let grown = self.has_grown(base) && !notes.rows.iter().any(|row| has_targets(&doc, row.node, row.primitive));
-        let node_for = |transform: &DAffine3| {
-            if grown {
-                None
-            } else {
-                NodeTransform::from_affine(transform)
-            }
-        };
+        let node_for = |transform: &DAffine3| Some(transform).filter(|_| !grown).and_then(NodeTransform::from_affine);
         let placed = node_for(&placing);
         let root = self.add_root(&name_of(&model.files, base), placed.as_ref());
         let world_from_root = placed.as_ref().map_or(DAffine3::IDENTITY, |p| p.transform);
