@@ -11,7 +11,7 @@ use super::exec::Exec;
 use super::progress::Progress as _;
 use super::wire::{
     DeformOptions, Error, change_poses, edit, edit_name, edit_result, followed_message, handle_set, open_options, pb,
-    quality_message, session_message, warning_message,
+    quality_message, session_message, warning_message, written_warnings,
 };
 use crate::exec::stage_clock::StageClock;
 use crate::wire::pb::step::Step;
@@ -153,7 +153,7 @@ pub fn run_and_write(
     let mut warnings = facts.warnings;
     warnings.extend(large_faces_warning(&quality));
     warnings.extend(pulled.iter().map(warning_message));
-    warnings.extend(idle.iter().map(|id| idle_handle_warning(id)));
+    warnings.extend((idle.iter().map(|id| idle_handle_warning(id))).chain(warnings_of_files(&written, &carried)));
     let report = pb::Report {
         passengers,
         followed: followed_message(&written.followed),
@@ -374,6 +374,19 @@ fn large_faces_warning(quality: &pb::Quality) -> Option<pb::Warning> {
         ),
         ..Default::default()
     })
+}
+
+/// What is said of the files of a job's model and of those that it carried.
+fn warnings_of_files(written: &WrittenFiles, carried: &[CarriedFile]) -> Vec<pb::Warning> {
+    let mut warnings = written_warnings(written);
+    for file in carried {
+        let own = written_warnings(&file.written).into_iter();
+        warnings.extend(own.map(|warning| pb::Warning {
+            message: format!("{}: {}", file.path, warning.message),
+            ..warning
+        }));
+    }
+    warnings
 }
 
 /// The expectations that a report's quality and digest do not meet, one sentence each, and those that need a stored

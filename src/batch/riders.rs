@@ -4,6 +4,7 @@ use crate::asset::{Format, Limits, Model, WrittenFiles};
 use crate::engine::{CarriedNode, Deformer, Passenger, PassengerKind};
 use crate::exec::Exec;
 use crate::mesh::carry::CarriedFrame;
+use crate::progress::Silent;
 use crate::wire::{Error, pb};
 use glam::DVec3;
 
@@ -64,7 +65,7 @@ impl Riders {
                         let problem = format!("is \"{}\", where an earlier passenger is written", file.path);
                         return Err(Error::invalid(format!("passengers[{k}].file.output"), problem));
                     }
-                    let model = Model::read(file.files.clone(), file.format, limits)
+                    let model = Model::read_passenger(file.files.clone(), file.format, limits, &Silent)
                         .map_err(|e| Error::invalid(format!("passengers[{k}].file"), e.to_string()))?;
                     RiderKind::Model {
                         positions: model.positions.clone(),

@@ -139,6 +139,14 @@ impl OutputPermission {
             files.insert(target, bytes.as_slice());
         }
         files.insert(path.to_owned(), written.main.as_slice());
+        files.keys().try_for_each(|path| self.check_target(path))?;
+        self.make_folder_of(path)?;
+        if folder_of(path).is_dir() {
+            // Folders that the model's files lie in belong to the model.
+            let made =
+                |target: &PathBuf| fs::create_dir_all(folder_of(target)).map_err(|e| CliFailure::unwritable(target, e));
+            files.keys().try_for_each(made)?;
+        }
         self.write_all(&files)?;
         Ok(files.into_keys().collect())
     }

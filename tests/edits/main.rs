@@ -2,13 +2,16 @@
 
 mod attributes;
 mod attributes_text;
+mod cleaning;
 mod commands;
 mod cut;
 mod cut_hostile;
 mod dragon;
 mod edit_support;
 mod marathon;
+mod named_numbers;
 mod no_numbers;
+mod nothing_lost;
 mod remesh;
 mod soups;
 mod statue;

@@ -36,7 +36,9 @@ impl Edited {
                 edited.recipes.push_vertex(v);
                 edited.positions.push(model.positions[v as usize]);
             }
-            if subdivide {
+            if own.is_empty() {
+                // Points and lines.
+            } else if subdivide {
                 let mut middles = BTreeMap::new();
                 for &t in own {
                     let mut middle = |a: u32, b: u32| {
@@ -88,6 +90,20 @@ impl Edited {
         self.triangles
             .extend(other.triangles.iter().map(|t| t.map(|v| v + vertices)));
         self.positions.extend(&other.positions);
+    }
+
+    /// Positions and triangles in the order of a file: points and lines come behind all that has triangles.
+    pub fn as_read(&self) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+        let (mut positions, mut triangles) = (Vec::new(), Vec::new());
+        let (faces, others): (Vec<&PrimitiveRun>, Vec<&PrimitiveRun>) =
+            self.runs.iter().partition(|run| run.triangle_count > 0);
+        for run in faces.into_iter().chain(others) {
+            let first = positions.len() as u32;
+            let own = &self.triangles[run.triangles()];
+            triangles.extend(own.iter().map(|t| t.map(|v| v - run.first_vertex + first)));
+            positions.extend_from_slice(&self.positions[run.vertices()]);
+        }
+        (positions, triangles)
     }
 
     /// The description over these models.

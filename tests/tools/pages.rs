@@ -26,6 +26,16 @@ fn every_crate_is_in_the_table() {
 }
 
 #[test]
+fn the_list_of_extensions_is_that_of_the_code() {
+    let page = file_of_repository("deploy/docs/formats.md");
+    let made = pliant::asset::gltf_extension_table();
+    assert!(
+        page.contains(&made),
+        "deploy/docs/formats.md has another table than this:\n{made}"
+    );
+}
+
+#[test]
 fn blocks_tables_and_places_are_found() {
     let page = "a `src/x.rs` and [that](b/c.md#d)\n```sh needs=a,b\nrun | it\n```\n| h | i |\n|---|---|\n| `a\\|b` | c |\n\n```json\n{}\n```\n";
     let found = blocks(page);

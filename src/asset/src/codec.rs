@@ -66,6 +66,13 @@ pub(super) trait FormatCodec: Sync {
     /// Makes fresh files of a model that came in another format.
     fn build(&self, neutral: &NeutralModel, format: Format) -> Result<WrittenFiles, Error>;
 
+    /// What a model of this codec has that no other format takes, or none but this one when it is merged into another
+    /// model: so many of each, in words.
+    fn beyond_conversion(&self, model: &Model, is_merged: bool) -> Result<Vec<String>, Error> {
+        let _ = (model, is_merged);
+        Ok(Vec::new())
+    }
+
     /// Whether positions are rounded to single precision in this format.
     fn rounds_to_single(&self) -> bool {
         false

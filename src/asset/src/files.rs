@@ -54,6 +54,8 @@ pub struct Limits {
     pub decoded_bytes: u64,
     /// Bytes that the parsed text of a document may take, beside what it describes.
     pub document_bytes: u64,
+    /// Whether primitives of points and lines in a glTF are read. Sessions from before this was possible do without.
+    pub points_and_lines: bool,
 }
 
 impl Default for Limits {
@@ -63,6 +65,7 @@ impl Default for Limits {
             triangles: 40_000_000,
             decoded_bytes: 4 << 30,
             document_bytes: 4 << 30,
+            points_and_lines: true,
         }
     }
 }
@@ -74,6 +77,7 @@ impl Limits {
         triangles: u64::MAX,
         decoded_bytes: u64::MAX,
         document_bytes: u64::MAX,
+        points_and_lines: true,
     };
 
     /// Refuses more render vertices than allowed.
@@ -250,6 +254,44 @@ pub struct WrittenFiles {
     pub companions: BTreeMap<String, Vec<u8>>,
     /// What in them followed the model's shape.
     pub followed: FollowedCounts,
+    /// What of the model is not in them, or may not fit any more.
+    pub warnings: Vec<WrittenWarning>,
+}
+
+/// Something of a model that a written file does not hold, or that may not fit what it holds.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct WrittenWarning {
+    /// A word for programs: `left-out`, `extension-kept`, `extension-dropped`.
+    pub code: &'static str,
+    /// What it is, in a sentence.
+    pub message: String,
+    /// Where in the model's file.
+    pub place: String,
+}
+
+impl WrittenWarning {
+    pub(super) fn new(code: &'static str, message: impl Into<String>, place: impl Into<String>) -> Self {
+        Self {
+            code,
+            message: message.into(),
+            place: place.into(),
+        }
+    }
+
+    /// Of things that a file of `format` does not hold, each with its number; `None` where there are none.
+    pub(super) fn left_out(things: &[String], format: impl std::fmt::Display, of: &str) -> Option<Self> {
+        let message = format!("{of}the {format} file has not: {}", things.join(", "));
+        (!things.is_empty()).then(|| Self::new("left-out", message, ""))
+    }
+}
+
+/// So many of something, by what one and several are called; `None` of none.
+pub(super) fn counted(count: usize, one: &str, several: &str) -> Option<String> {
+    match count {
+        0 => None,
+        1 => Some(format!("1 {one}")),
+        _ => Some(format!("{count} {several}")),
+    }
 }
 
 impl WrittenFiles {
@@ -258,7 +300,7 @@ impl WrittenFiles {
         Self {
             main,
             companions,
-            followed: FollowedCounts::default(),
+            ..Self::default()
         }
     }
 

@@ -30,7 +30,7 @@ pub struct Primitive {
     pub has_normals: bool,
     /// Whether the model gives tangents for it.
     pub has_tangents: bool,
-    /// Whether it is not solved, but follows the solved surface.
+    /// Whether it is not solved, but follows the solved surface. Points and lines always do.
     pub is_passenger: bool,
 }
 
@@ -112,13 +112,16 @@ impl Geometry {
             let problem = format!("vertices {:?} are named, there are {count}", self.triangles[i]);
             return malformed(format!("triangle {i}"), problem);
         }
-        if self.triangles.is_empty() {
-            return Err(Error::NoMesh {
-                format,
-                problem: format!("{count} vertices and no triangle"),
-            });
-        }
         Ok(())
+    }
+
+    /// Refuses what has no triangle, and so nothing that could be deformed.
+    pub(super) fn require_triangles(&self, format: Format) -> Result<(), Error> {
+        if !self.triangles.is_empty() {
+            return Ok(());
+        }
+        let problem = format!("{} vertices and no triangle", self.positions.len());
+        Err(Error::NoMesh { format, problem })
     }
 
     /// The same geometry at new positions, one for each vertex; normals and tangents turn with the shape, as in a file that is written.

@@ -39,12 +39,13 @@ mod vertex_attributes;
 mod write;
 
 pub use edited::{BaseModel, CapLooks, EditedModel, PrimitiveRun, VertexBlend, VertexBlends};
-pub use files::{FileSet, Limits, WrittenFiles};
+pub use files::{FileSet, Limits, WrittenFiles, WrittenWarning};
 pub use following::{
     BoneLengthRule, FollowedCounts, Following, JointTravel, ModelNode, MorphTargetRule, NodeMotions, RigRule,
     ShapeFollowers,
 };
 pub use format::{Error, Format};
+pub use formats::gltf_extension_table;
 pub use geometry::{Geometry, Primitive, VertexCache};
 pub use look::{AlphaMode, BaseMaterial, DrawnModel, SurfaceLook, TextureUse, TextureWrap};
 pub use model::Model;

@@ -2,6 +2,7 @@
 
 use super::Geometry;
 use bytes::Bytes;
+use std::sync::Arc;
 
 /// How texture coordinates beyond 0 to 1 are taken back into the picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -166,6 +167,20 @@ pub(super) struct NamedMaterial {
 }
 
 impl NamedMaterial {
+    /// The material for texture coordinates that have been placed.
+    pub fn with_placed_coordinates(self: Arc<Self>) -> Arc<Self> {
+        let is_plain = |look: &BaseLook| look.placing == PicturePlacing::PLAIN;
+        if self.look.as_ref().is_none_or(is_plain) {
+            return self;
+        }
+        let mut placed = (*self).clone();
+        placed
+            .look
+            .iter_mut()
+            .for_each(|look| look.placing = PicturePlacing::PLAIN);
+        Arc::new(placed)
+    }
+
     /// A material of which only the name is known.
     pub fn of_name(name: impl Into<String>) -> Self {
         let name = name.into();
@@ -186,6 +201,27 @@ pub(super) struct BaseLook {
     pub coverage: AlphaMode,
     /// Whether the backs of its triangles are drawn too.
     pub double_sided: bool,
+    /// Where texture coordinates lie on its pictures. A neutral model has the coordinates placed, and materials that place none.
+    pub placing: PicturePlacing,
+}
+
+/// Where a texture coordinate (u, v), counted from the upper left corner, lies on a picture:
+/// u' = m0 u + m1 v + m2, v' = m3 u + m4 v + m5.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct PicturePlacing(pub [f64; 6]);
+
+impl PicturePlacing {
+    /// Where the coordinates say.
+    pub const PLAIN: Self = Self([1.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
+
+    /// Puts a coordinate in its place.
+    pub fn place(self, [u, v]: [f32; 2]) -> [f32; 2] {
+        if self == Self::PLAIN {
+            return [u, v];
+        }
+        let ([a, b, c, d, e, f], [u, v]) = (self.0, [u, v].map(f64::from));
+        [a * u + b * v + c, d * u + e * v + f].map(|x| x as f32)
+    }
 }
 
 impl Default for BaseLook {
@@ -196,6 +232,7 @@ impl Default for BaseLook {
             normals: None,
             coverage: AlphaMode::Opaque,
             double_sided: false,
+            placing: PicturePlacing::PLAIN,
         }
     }
 }

@@ -3,7 +3,7 @@
 //! Texture coordinates count from the upper left corner of the picture, as in glTF.
 
 use super::edited::{CarriedAttributes, EditedModel, PrimitiveRun, RunFaces};
-use super::look::{BaseLook, NamedMaterial};
+use super::look::{BaseLook, NamedMaterial, PicturePlacing};
 use super::{Error, Format, Geometry, Primitive};
 use glam::{DVec3, Vec3};
 use std::collections::BTreeMap;
@@ -285,12 +285,21 @@ impl NeutralModel {
     /// Adds what the last primitive has beyond its geometry.
     fn push_attributes(&mut self, attributes: RunAttributes) {
         let RunAttributes {
-            uv,
+            mut uv,
             colours,
-            corner_uv,
+            mut corner_uv,
             material,
             faces,
         } = attributes;
+        let material = material.map(|material| {
+            let placing = material
+                .look
+                .as_ref()
+                .map_or(PicturePlacing::PLAIN, |look| look.placing);
+            let pairs = uv.iter_mut().chain(&mut corner_uv);
+            pairs.for_each(|pair| *pair = placing.place(*pair));
+            material.with_placed_coordinates()
+        });
         let count = self.geometry.positions.len();
         let added = self.geometry.primitives.last().map_or(0, |p| p.vertex_count as usize);
         self.attributes.push(PrimitiveAttributes {

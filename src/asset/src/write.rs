@@ -1,6 +1,6 @@
 //! The ways in and out: which codec reads a model, and which one writes it, by patching, building or editing.
 
-use super::codec::{EditedOutput, PatchedOutput, Translation};
+use super::codec::{EditedOutput, FormatCodec, PatchedOutput, Translation};
 use super::edited::{self, BaseModel, CapLooks, CarriedAttributes, EditedModel, PrimitiveRun, RunFaces, VertexBlends};
 use super::files::ReadWatch;
 use super::formats::{codec_of, translator_of, writer_of};
@@ -8,6 +8,7 @@ use super::model::is_same;
 use super::neutral::{NeutralModel, RunAttributes, RunPart};
 use super::{
     Error, FileSet, Following, Format, Limits, Model, ModelNode, ShapeFollowers, VertexAttributes, WrittenFiles,
+    WrittenWarning,
 };
 use glam::{DAffine3, DVec3};
 use pliant_exec::progress::{Progress, Silent};
@@ -47,6 +48,21 @@ impl Model {
         limits: &Limits,
         progress: &dyn Progress,
     ) -> Result<Self, Error> {
+        let model = Self::read_passenger(files, format, limits, progress)?;
+        model.geometry.require_triangles(model.format)?;
+        Ok(model)
+    }
+
+    /// As [`Model::read_watched`], for a model that is carried and not deformed: it may be of points or lines alone.
+    ///
+    /// # Errors
+    /// Those of [`Model::read_watched`].
+    pub fn read_passenger(
+        files: FileSet,
+        format: Option<Format>,
+        limits: &Limits,
+        progress: &dyn Progress,
+    ) -> Result<Self, Error> {
         let recognised = || Format::from_file(&files.name, &files.main);
         let Some(format) = format.or_else(recognised) else {
             let place = if files.name.is_empty() {
@@ -64,7 +80,7 @@ impl Model {
                 format,
                 warnings,
             } = translator.translate(&files, &watch)?;
-            let mut model = Self::read_watched(files, Some(format), limits, progress)?;
+            let mut model = Self::read_passenger(files, Some(format), limits, progress)?;
             model.geometry.warnings.splice(0..0, warnings);
             return Ok(model);
         }
@@ -187,12 +203,19 @@ impl Model {
                 followers,
             });
         }
+        self.geometry.require_triangles(self.format).map_err(|_| {
+            let problem = format!("points and lines without triangles come back as {} alone", self.format);
+            Error::unwritable(format, problem)
+        })?;
         let neutral = if codec.takes_attributes() {
             neutral_model(self, positions, format)?
         } else {
             NeutralModel::from_geometry(self.geometry.deformed(positions))
         };
-        codec.build(&neutral, format)
+        let mut written = codec.build(&neutral, format)?;
+        let beyond = codec_of(self.format).beyond_conversion(self, false)?;
+        written.warnings.extend(WrittenWarning::left_out(&beyond, format, ""));
+        Ok(written)
     }
 
     /// The names of the joints of the model, of its skins in the order of the alphabet.
@@ -317,9 +340,35 @@ fn write_checked_edit(
         return Err(Error::unwritable(format, "there is no base"));
     };
     let codec = writer_of(format)?;
-    if !codec.edits(first.model.format) {
-        return codec.build(&neutral_edited_model(edited, positions, format)?, format);
+    let is_frame = codec.edits(first.model.format);
+    let mut beyond = Vec::new();
+    for (k, base) in edited.bases.iter().enumerate().skip(usize::from(is_frame)) {
+        let is_merged = is_frame && codec.edits(base.model.format);
+        let things = codec_of(base.model.format).beyond_conversion(base.model, is_merged)?;
+        let of = if k == 0 {
+            String::new()
+        } else {
+            format!("of merged model {k} ")
+        };
+        beyond.extend(WrittenWarning::left_out(&things, format, &of));
     }
+    let mut written = if is_frame {
+        write_into_frame(codec, edited, positions, format, followers)?
+    } else {
+        codec.build(&neutral_edited_model(edited, positions, format)?, format)?
+    };
+    written.warnings.extend(beyond);
+    Ok(written)
+}
+
+/// Writes an edited model into the file of its first base.
+fn write_into_frame(
+    codec: &dyn FormatCodec,
+    edited: &EditedModel<'_>,
+    positions: &[DVec3],
+    format: Format,
+    followers: &ShapeFollowers<'_>,
+) -> Result<WrittenFiles, Error> {
     let neutral_base = |base: u32| {
         let mut neutral = NeutralModel::default();
         add_base(&mut neutral, edited, base, positions, format)?;

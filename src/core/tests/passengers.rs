@@ -486,3 +486,114 @@ impl CloneWithBytes for pliant_core::engine::SolverFacts {
         }
     }
 }
+
+/// The bar as a text, with more vertices that no face uses behind its own.
+fn bar_with_loose(more: &[DVec3]) -> FileSet {
+    let (points, faces) = bar_and_sleeve().0;
+    let vertices = points.iter().chain(more);
+    let vertices: String = vertices.map(|p| format!("v {} {} {}\n", p.x, p.y, p.z)).collect();
+    let faces = faces.iter().map(|f| f.map(|v| v + 1));
+    let faces: String = faces.map(|[a, b, c]| format!("f {a} {b} {c}\n")).collect();
+    FileSet::single("bar.obj", vertices + &faces)
+}
+
+#[test]
+fn vertices_in_no_face_go_with_the_surface_around_them() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let body = bar_and_sleeve().0.0;
+    // A row beside the bar, through the free part and the held one; and copies of every vertex of it.
+    let row = (0..31).map(|i| DVec3::new(0.31, 0.1 * f64::from(i), 0.0));
+    let loose: Vec<DVec3> = row.chain(body.iter().copied()).collect();
+    let pose = [("high", HandlePose::rotation([1.2, 0.0, 0.0]))];
+    let settings = SolveSettings::default();
+
+    let mut deformer = open(bar_with_loose(&loose), &OpenOptions::default(), &exec).expect("a bar");
+    hold_ends(&mut deformer, &exec);
+    let solved = deformer.commit(pose, &settings, &exec).expect("solved");
+    let rest: Vec<DVec3> = deformer.rest()[body.len()..].to_vec();
+    let carried = deformer.carry_points(&solved.positions, &rest, &exec).expect("carried");
+    for i in 0..31 {
+        assert_eq!(solved.positions[body.len() + i], carried[i].position, "point {i}");
+    }
+    assert_eq!(
+        solved.positions[body.len() + 31..],
+        solved.positions[..body.len()],
+        "what lies on a vertex goes with it, bit for bit"
+    );
+    let steps = solved.positions[body.len()..][..31]
+        .windows(2)
+        .map(|p| p[0].distance(p[1]));
+    assert!(steps.fold(0.0, f64::max) < 0.2, "the row is not torn");
+
+    // Sessions of before: the held ones go with their handle, the others stay.
+    let before = OpenOptions {
+        loose_vertices_ride: false,
+        ..OpenOptions::default()
+    };
+    let mut deformer = open(bar_with_loose(&loose), &before, &exec).expect("a bar");
+    hold_ends(&mut deformer, &exec);
+    let solved = deformer.commit(pose, &settings, &exec).expect("solved");
+    let moved = |i: usize| solved.positions[body.len() + i] != loose[i];
+    assert!((0..28).all(|i| !moved(i)) && (29..31).all(moved));
+}
+
+#[test]
+fn points_and_lines_of_a_gltf_go_with_their_surface_and_stay_in_its_accessor() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let (bar, sleeve) = bar_and_sleeve();
+    let mut files = model_of(&[("body", &bar), ("sleeve", &sleeve)]);
+    let json = String::from_utf8(files.main.to_vec()).expect("text");
+    let surface = r#"{"attributes":{"POSITION":0},"indices":1}"#;
+    assert!(json.contains(surface));
+    let lines = r#"{"attributes":{"POSITION":0},"indices":1,"mode":1},{"attributes":{"POSITION":2},"mode":0}"#;
+    let json = json.replace(surface, &format!("{surface},{lines}"));
+    files.main = json.clone().into();
+    let mut deformer = open(files, &OpenOptions::default(), &exec).expect("a bar with its edges");
+    let primitives = deformer.facts().primitives;
+    let riding: Vec<bool> = primitives.iter().map(|p| p.is_passenger).collect();
+    assert_eq!(riding, [false, false, true, true]);
+    assert!(
+        deformer
+            .facts()
+            .warnings
+            .iter()
+            .all(|w| w.code != "unreferenced-vertex")
+    );
+    hold_ends(&mut deformer, &exec);
+    let pose = [("high", HandlePose::rotation([1.2, 0.0, 0.0]))];
+    let solved = deformer.commit(pose, &SolveSettings::default(), &exec).expect("solved");
+    let solid = bar.0.len() + sleeve.0.len();
+    assert_eq!(solved.positions[solid..], solved.positions[..solid]);
+    assert_ne!(solved.positions[solid..], deformer.rest()[solid..]);
+    let written = deformer.write(&solved.positions, Format::GLTF, &exec).expect("written");
+    let text = String::from_utf8(written.main).expect("text");
+    assert_eq!(
+        text.matches("componentType").count(),
+        json.matches("componentType").count()
+    );
+}
+
+#[test]
+fn a_passenger_may_be_of_points_alone() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let mut deformer = open(bar_with_loose(&[]), &OpenOptions::default(), &exec).expect("a bar");
+    hold_ends(&mut deformer, &exec);
+    let pose = [("high", HandlePose::rotation([1.2, 0.0, 0.0]))];
+    let solved = deformer.commit(pose, &SolveSettings::default(), &exec).expect("solved");
+    let cloud = |output| CarriedModel {
+        files: FileSet::single("cloud.obj", "v 0.3 1.5 0\nv 0.3 2.9 0\np 1 2\n"),
+        format: None,
+        output,
+        path: String::new(),
+    };
+    let carried = deformer
+        .carry_model(&solved.positions, cloud(None), &exec)
+        .expect("carried");
+    let text = String::from_utf8(carried.main).expect("text");
+    assert!(text.ends_with("p 1 2\n") && !text.contains("v 0.3 2.9 0"), "{text}");
+    let refused = deformer.carry_model(&solved.positions, cloud(Some(Format::GLB)), &exec);
+    assert!(refused.is_err_and(|e| e.to_string().contains("obj alone")));
+}

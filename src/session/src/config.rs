@@ -194,6 +194,7 @@ impl SessionConfig {
                 triangles: self.triangles,
                 decoded_bytes: memory_bytes,
                 document_bytes: memory_bytes,
+                points_and_lines: true,
             },
             memory_bytes,
             graph_bytes: None,

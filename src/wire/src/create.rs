@@ -201,6 +201,7 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
             ties,
         },
         passengers: passengers(&create.passengers)?,
+        loose_vertices_ride: true,
         following: following(create)?,
         kept_apart: kept_apart(create.keep_apart.as_ref())?,
     })

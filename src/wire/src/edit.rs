@@ -8,8 +8,8 @@ use glam::{DMat3, DMat4, DVec3, DVec4};
 use pb::edit_request::{self as message, Operation};
 use pliant_asset::{FileSet, Format};
 use pliant_core::engine::{
-    Creases, CutLine, Edit, EditKind, EditReport, EditedShape, MergeJoin, MeshCounts, ModelMerge, OwnCap, Region,
-    RemeshCommand, SmoothCommand, SmoothKind,
+    CleanCommand, Creases, CutLine, Edit, EditKind, EditReport, EditedShape, MergeJoin, MeshCounts, ModelMerge, OwnCap,
+    Region, RemeshCommand, SmoothCommand, SmoothKind,
 };
 use pliant_edit::{KeptSide, MOST_POINTS, SubdivisionScheme};
 
@@ -24,7 +24,7 @@ pub fn edit(request: &pb::EditRequest, other: Option<&FileSet>) -> Result<(Edit,
     };
     let edit = match &request.operation {
         None => {
-            let allowed = "cut, subdivide, decimate, delete, fill, remesh, smooth, merge, insertCurve or weld";
+            let allowed = "cut, subdivide, decimate, delete, fill, remesh, smooth, merge, insertCurve, weld or clean";
             let problem = format!("is missing, allowed is one of {allowed}");
             return Err(Error::invalid("operation", problem));
         }
@@ -55,6 +55,7 @@ pub fn edit(request: &pb::EditRequest, other: Option<&FileSet>) -> Result<(Edit,
         Some(Operation::Weld(weld)) => Edit::Weld {
             tolerance: positive(weld.tolerance, "weld.tolerance")?,
         },
+        Some(Operation::Clean(clean)) => Edit::Clean(self::clean(clean)?),
     };
     Ok((edit, on))
 }
@@ -72,6 +73,7 @@ pub fn edit_name(edit: &pb::EditRequest) -> &'static str {
         Some(Operation::Merge(_)) => EditKind::Merge.name(),
         Some(Operation::InsertCurve(_)) => EditKind::InsertCurve.name(),
         Some(Operation::Weld(_)) => EditKind::Weld.name(),
+        Some(Operation::Clean(_)) => EditKind::Clean.name(),
         None => "none",
     }
 }
@@ -231,6 +233,25 @@ fn unless_zero(value: f64, field: &str) -> Result<Option<f64>, Error> {
         0.0 => Ok(None),
         given => positive(given, field).map(Some),
     }
+}
+
+fn clean(clean: &message::Clean) -> Result<CleanCommand, Error> {
+    let smallest_share = unless_zero(clean.smallest_share, "clean.smallestShare")?;
+    if let Some(share) = smallest_share.filter(|share| *share > 1.0) {
+        let problem = format!("is {share}, allowed is a share of the largest part's area, up to 1");
+        return Err(Error::invalid("clean.smallestShare", problem));
+    }
+    let command = CleanCommand {
+        keep_largest: (clean.keep_largest > 0).then_some(clean.keep_largest),
+        smallest_share,
+        smallest_size: unless_zero(clean.smallest_size, "clean.smallestSize")?,
+        duplicates_within: unless_zero(clean.duplicates_within, "clean.duplicatesWithin")?,
+    };
+    if command == CleanCommand::default() {
+        let problem = "takes nothing away, give one of keepLargest, smallestShare, smallestSize and duplicatesWithin";
+        return Err(Error::invalid("clean", problem));
+    }
+    Ok(command)
 }
 
 fn smooth(smooth: &message::Smooth) -> Result<Edit, Error> {

@@ -5,7 +5,9 @@
 use super::check::enumerated;
 use super::poses::handle_pose_message;
 use super::{Error, pb};
-use pliant_asset::{BoneLengthRule, FollowedCounts, Following, MorphTargetRule, Primitive, RigRule};
+use pliant_asset::{
+    BoneLengthRule, FollowedCounts, Following, MorphTargetRule, Primitive, RigRule, WrittenFiles, WrittenWarning,
+};
 use pliant_core::engine::{
     DeformerFacts, DeformerWarning, HandlePose, HandlePoses, LoosePart, QualityReport, WarningPlace,
 };
@@ -176,6 +178,17 @@ pub(super) fn following(create: &pb::CreateOptions) -> Result<Following, Error> 
         rig,
         bone_lengths,
     })
+}
+
+/// What a written model has not, or may be wrong in it.
+pub fn written_warnings(written: &WrittenFiles) -> Vec<pb::Warning> {
+    let message = |warning: &WrittenWarning| pb::Warning {
+        code: warning.code.into(),
+        message: warning.message.clone(),
+        r#where: warning.place.clone(),
+        ..Default::default()
+    };
+    written.warnings.iter().map(message).collect()
 }
 
 /// Writes what followed; `None` where there was nothing that could.

@@ -28,7 +28,7 @@ pub use animate::{
 pub use calls::{PoseCommit, SessionEdit, SessionPage, page_token, pose_commit, session_edit, session_page};
 pub use create::{SessionOptions, open_options, session_options};
 pub use edit::{edit, edit_name, edit_result};
-pub use facts::followed_message;
+pub use facts::{followed_message, written_warnings};
 pub use facts::{handle_poses_message, quality_message, session_message, warning_message};
 pub use handles::{HandlePatch, handle_patch};
 pub use handles::{handle_set, handle_set_message, region_message};

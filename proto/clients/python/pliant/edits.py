@@ -138,6 +138,19 @@ class Weld(TypedDict, total=False):
     tolerance: float
 
 
+class Clean(TypedDict, total=False):
+    """Takes away small parts and hidden copies."""
+
+    #: How many parts stay, those with the largest area.
+    keep_largest: int
+    #: Parts go whose area is a smaller share of the largest part's, up to 1.
+    smallest_share: float
+    #: Parts go whose box has a shorter diagonal, in model units.
+    smallest_size: float
+    #: Triangles go whose corners are at most this far from those of an earlier one.
+    duplicates_within: float
+
+
 class EditFields(TypedDict, total=False):
     """One operation; exactly one key is given."""
 
@@ -151,6 +164,7 @@ class EditFields(TypedDict, total=False):
     merge: Merge
     insert_curve: InsertCurve
     weld: Weld
+    clean: Clean
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,11 @@
 //! and which polygons still stand ([`origins`]). The codecs write the files.
 
 mod blends;
+mod lines;
 mod origins;
 
 pub use blends::{VertexBlend, VertexBlends};
+pub(super) use lines::FollowedLines;
 pub(super) use origins::{CarriedAttributes, FaceOutlines, RunFaces, TriangleOrigins};
 
 use super::model::FileNotes;
@@ -104,6 +106,11 @@ impl<'a> EditedModel<'a> {
     pub(super) fn runs_with_triangles(&self, base: u32) -> impl Iterator<Item = &'a PrimitiveRun> + use<'a> {
         let runs = self.runs.iter();
         runs.filter(move |run| run.base == base && run.triangle_count > 0)
+    }
+
+    /// Whether a run draws something: triangles, or points and lines, which never had any.
+    pub(super) fn is_drawn(&self, run: &PrimitiveRun) -> bool {
+        run.triangle_count > 0 || self.primitive(run).index_count == 0
     }
 
     /// The base of a run. Checked by [`check`].

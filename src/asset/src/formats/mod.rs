@@ -113,6 +113,11 @@ pub(super) fn writer_of(format: Format) -> Result<&'static dyn FormatCodec, Erro
 }
 
 /// The codec that reads and writes a format; every model has been read by one.
+/// What becomes of each extension of glTF when a model's shape changes, as a table of Markdown: that of `deploy/docs/formats.md`.
+pub fn gltf_extension_table() -> String {
+    gltf::extension_table()
+}
+
 pub(super) fn codec_of(format: Format) -> &'static dyn FormatCodec {
     // A format is made here only and models are of formats with codecs, so the last one stands for none that exists.
     let row = Format::ALL.iter().position(|f| *f == format);
@@ -161,7 +166,7 @@ impl Format {
 
     /// The format of a file's content. OBJ has no signature; its first keyword identifies it.
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
-        let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+        let bytes = text::without_mark(bytes);
         let sureness = |f: &Self| (f.details().recognise)(bytes);
         // Of two that are as sure the first one is taken.
         let surest = Self::READ.into_iter().rev().max_by_key(sureness)?;

@@ -42,8 +42,7 @@ pub(super) struct TextLexer<'a> {
 impl<'a> TextLexer<'a> {
     /// Starts at the first byte after a byte-order mark, if there is one.
     pub fn new(bytes: &'a [u8], style: TextStyle) -> Self {
-        let at = if bytes.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 };
-        Self::starting_at(bytes, at, 1, style)
+        Self::starting_at(bytes, bytes.len() - without_mark(bytes).len(), 1, style)
     }
 
     /// Starts at an offset that lies on `line`.
@@ -54,6 +53,11 @@ impl<'a> TextLexer<'a> {
     /// The bytes of a token.
     pub fn text(&self, token: TextToken) -> &'a [u8] {
         &self.bytes[token.range()]
+    }
+
+    /// Goes back to a place on the present line.
+    pub fn go_back_to(&mut self, at: usize) {
+        self.at = self.at.min(at);
     }
 
     /// The bytes of a place in the text.
@@ -225,6 +229,17 @@ pub(super) fn number(word: &[u8]) -> Option<f64> {
     std::str::from_utf8(word).ok()?.parse().ok()
 }
 
+/// Whether a word is a number but for a comma where the point should be.
+fn has_decimal_comma(word: &[u8]) -> bool {
+    let text = String::from_utf8_lossy(word);
+    text.matches(',').count() == 1 && number(text.replace(',', ".").as_bytes()).is_some()
+}
+
+/// A text without the byte-order mark that it may begin with.
+pub(super) fn without_mark(bytes: &[u8]) -> &[u8] {
+    bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes)
+}
+
 /// A whole number, with its sign; `None` when the word is none or too large.
 pub(super) fn integer(word: &[u8]) -> Option<i64> {
     std::str::from_utf8(word).ok()?.parse().ok()
@@ -252,6 +267,10 @@ pub(super) fn coordinate(word: &[u8], precision: NumberPrecision) -> Result<f64,
         Some(value) if value.is_finite() => Ok(value),
         Some(_) => Err(format!(
             "coordinate {} is not finite; a finite number is needed",
+            shown(word)
+        )),
+        None if has_decimal_comma(word) => Err(format!(
+            "{} has a decimal comma; numbers are written with a point, whatever the language of the program",
             shown(word)
         )),
         None => Err(format!("{} is not a number; a coordinate is needed", shown(word))),

@@ -72,7 +72,7 @@ impl Deformer {
             watcher: exec.progress,
         };
         let limits = self.room_limits().of_reading();
-        let model = Model::read_watched(passenger.files, passenger.format, &limits, &beside)?;
+        let model = Model::read_passenger(passenger.files, passenger.format, &limits, &beside)?;
         exec.check()?;
         let carried = self.carry_points(positions, &model.positions, exec)?;
         let now: Vec<DVec3> = carried.iter().map(|frame| frame.position).collect();

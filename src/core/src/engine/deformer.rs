@@ -79,7 +79,8 @@ impl Deformer {
         exec: &Exec<'_>,
     ) -> Result<Self, Error> {
         exec.progress.report("read", 0.0);
-        let model = Model::read_watched(files, options.format, &limits.of_reading(), exec.progress)?;
+        let reading = options.reading_within(limits).of_reading();
+        let model = Model::read_watched(files, options.format, &reading, exec.progress)?;
         Self::of_model(model, options, limits, exec)
     }
 
@@ -104,7 +105,7 @@ impl Deformer {
         let derived = DerivedStructures::build(TopologyId(0), Arc::new(topology), options, limits, exec)?;
         let limits = DeformerLimits {
             graph_bytes: limits.graph_bytes.or(Some(limits.memory_bytes)),
-            ..*limits
+            ..options.reading_within(limits)
         };
         Ok(Self::without_handles(Arc::new(derived), options, limits))
     }
@@ -393,7 +394,10 @@ impl Deformer {
             exec.check()?;
             admit_bytes(held + held_by_handles, &self.room_limits(), exec)
         };
-        let (resolved, setup) = resolve_handles(&regions, body, handles, self.options.policy, &admit)?;
+        let (mut resolved, setup) = resolve_handles(&regions, body, handles, self.options.policy, &admit)?;
+        if self.options.loose_vertices_ride {
+            resolved.unreferenced = Vec::new();
+        }
         let system = match is_empty {
             true => None,
             false => Some(HandleSystem::build(body, setup, exec)?),

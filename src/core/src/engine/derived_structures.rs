@@ -4,7 +4,7 @@ use super::error::Error;
 use super::facts::{BYTES_PER_NODE, DeformerWarning, TieFacts, WarningPlace, interior_warnings, most_nodes, tie_facts};
 use super::model_topology::ModelTopology;
 use super::part_families::PartFamilies;
-use super::riding::RidingVertices;
+use super::riding::{RidingModel, RidingVertices};
 use super::settings::{DeformerLimits, ESTIMATED_MEMORY, OpenOptions};
 use super::shape::TopologyId;
 use super::topology_state::{LineageOrigin, MeshDelta, TopologyLineage, TopologyState};
@@ -14,7 +14,7 @@ use crate::edit::PatchedSurface;
 use crate::exec::Exec;
 use crate::graph::estimate_nodes;
 use crate::mesh::carry::CarrySurface;
-use crate::mesh::{Adjacency, Components, Mesh, MeshReport, inspect};
+use crate::mesh::{Adjacency, Components, Mesh, MeshReport, NONE, inspect};
 use crate::pool::Pool;
 use glam::DVec3;
 use std::sync::{Arc, OnceLock};
@@ -33,6 +33,7 @@ pub(super) struct DerivedStructures {
     /// Needles and caps of the mesh.
     pub thin: NeedlesAndCaps,
     volume: VolumeMode,
+    loose_vertices_ride: bool,
     report: OnceLock<MeshReport>,
     /// The rest surface, once points were carried along with it.
     carry: OnceLock<Arc<CarrySurface>>,
@@ -187,6 +188,7 @@ impl DerivedStructures {
             mesh,
             body,
             volume: options.body.volume,
+            loose_vertices_ride: options.loose_vertices_ride,
             report: OnceLock::new(),
             carry: OnceLock::new(),
             riders: OnceLock::new(),
@@ -212,7 +214,8 @@ impl DerivedStructures {
     /// [`Error::Cancelled`].
     pub fn bind_riders(&self, limits: &DeformerLimits, exec: &Exec<'_>) -> Result<(), Error> {
         let topology = self.topology();
-        if !topology.has_passengers() {
+        let has_loose = self.loose_vertices_ride && self.mesh.solver_from_render.contains(&NONE);
+        if !has_loose && !topology.has_passengers() {
             return Ok(());
         }
         let answer = |known: &Result<RidingVertices, Error>| known.as_ref().map(|_| ()).map_err(Error::clone);
@@ -222,8 +225,13 @@ impl DerivedStructures {
         let surface = self.carry_surface(exec.pool);
         let held = self.byte_size();
         let admit = |bytes: u64| admit_bytes(held + bytes, limits, exec);
-        let primitives = &topology.geometry().primitives;
-        match RidingVertices::bind(surface, primitives, &topology.rest, admit, exec) {
+        let model = RidingModel {
+            mesh: &self.mesh,
+            primitives: &topology.geometry().primitives,
+            rest: &topology.rest,
+            loose: self.loose_vertices_ride,
+        };
+        match RidingVertices::bind(surface, model, admit, exec) {
             // A later call may have more memory, and is not cancelled.
             Err(e @ (Error::TooLarge { .. } | Error::Cancelled)) => Err(e),
             // Another thread may have found the same meanwhile.
@@ -277,6 +285,7 @@ impl DerivedStructures {
     pub fn warnings(&self) -> Vec<DeformerWarning> {
         let mut warnings = model_warnings(&self.topology().model, self.report());
         warnings.extend(interior_warnings(&self.body, self.volume));
+        warnings.extend(self.riding_vertices().and_then(|(_, riders)| riders.warning()));
         warnings
     }
 

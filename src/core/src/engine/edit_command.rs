@@ -80,6 +80,21 @@ pub enum Edit {
         /// The largest distance, in model units.
         tolerance: f64,
     },
+    /// Takes away parts that are small, and triangles that lie on others.
+    Clean(CleanCommand),
+}
+
+/// What a cleaning takes away.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct CleanCommand {
+    /// How many connected parts stay, those with the largest area; `None`: all.
+    pub keep_largest: Option<u32>,
+    /// Parts go whose area is a smaller share of the largest part's.
+    pub smallest_share: Option<f64>,
+    /// Parts go whose box has a shorter diagonal, in model units.
+    pub smallest_size: Option<f64>,
+    /// Triangles go whose corners are no further than this from those of an earlier one, whichever way round.
+    pub duplicates_within: Option<f64>,
 }
 
 /// A cap with a primitive, a material and texture coordinates of its own.
@@ -207,6 +222,7 @@ pub enum EditKind {
     Merge,
     InsertCurve,
     Weld,
+    Clean,
 }
 
 /// The shape on which an edit works.
@@ -300,6 +316,7 @@ impl EditKind {
             Self::Merge => "merge",
             Self::InsertCurve => "insertCurve",
             Self::Weld => "weld",
+            Self::Clean => "clean",
         }
     }
 }
@@ -326,6 +343,7 @@ impl Edit {
             Self::Merge(_) => EditKind::Merge,
             Self::InsertCurve { .. } => EditKind::InsertCurve,
             Self::Weld { .. } => EditKind::Weld,
+            Self::Clean(_) => EditKind::Clean,
         }
     }
 }

@@ -1,7 +1,10 @@
 //! Edits as operations on a surface: regions become triangles, another model is appended.
 
 use super::DeformerLimits;
-use super::edit_command::{CutLine, Edit, EditKind, MergeJoin, ModelMerge, OwnCap, SmoothCommand, SmoothKind};
+use super::clean::unwanted_faces;
+use super::edit_command::{
+    CleanCommand, CutLine, Edit, EditKind, MergeJoin, ModelMerge, OwnCap, SmoothCommand, SmoothKind,
+};
 use super::edit_surface::EditSurface;
 use super::error::Error;
 use super::handle::Region;
@@ -13,8 +16,8 @@ use super::seams::Seams;
 use super::shape::Shading;
 use crate::asset::Model;
 use crate::edit::{
-    CreaseOptions, CutOptions, CutPlane, LoopPair, RemeshOptions, RemeshTarget, SmoothOptions, SurfaceCurve,
-    SurfacePatch, SurfaceView,
+    CreaseOptions, CutOptions, CutPlane, EditWarning, LoopPair, RemeshOptions, RemeshTarget, SmoothOptions,
+    SurfaceCurve, SurfacePatch, SurfaceView,
 };
 use crate::exec::Exec;
 use crate::mesh::{Adjacency, BoundingBox, Mesh, NONE, Weld, mean_edge_length};
@@ -130,6 +133,7 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
             edit::insert_curve(&surface, &curve, *closed, progress)?
         }
         Edit::Weld { tolerance } => plan_weld(context, *tolerance, exec)?,
+        Edit::Clean(clean) => plan_cleaning(&surface, clean, exec)?,
     };
     if let Some(cap) = edit.own_cap() {
         context.add_caps(&mut patch, cap);
@@ -250,6 +254,19 @@ fn plan_smoothing(
     (context.surface.seams).spread_blends(&mut patch, &context.surface.triangles);
     context.surface.follow_moves(&patch);
     Ok(patch)
+}
+
+/// Takes away what a cleaning names.
+fn plan_cleaning(surface: &SurfaceView<'_>, clean: &CleanCommand, exec: &Exec<'_>) -> Result<SurfacePatch, Error> {
+    let faces = unwanted_faces(surface, clean, exec)?;
+    if faces.is_empty() {
+        let warning = EditWarning::new("clean-nothing", "every part and every triangle stays", "");
+        return Ok(SurfacePatch {
+            warnings: vec![warning],
+            ..SurfacePatch::default()
+        });
+    }
+    Ok(edit::delete_faces(surface, &faces, false, exec.progress)?)
 }
 
 /// Joins points; and the render vertices of each point that differ in nothing, as files without indices have them.

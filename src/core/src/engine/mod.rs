@@ -30,6 +30,7 @@ mod animation;
 mod buckles;
 mod cap_coordinates;
 mod carry;
+mod clean;
 mod deformer;
 mod derived_structures;
 mod edit;
@@ -63,8 +64,8 @@ pub use animation::{
 };
 pub use deformer::Deformer;
 pub use edit_command::{
-    Creases, CutLine, Edit, EditCommand, EditKind, EditOutcome, EditReport, EditedShape, KeptVertexRun, MergeJoin,
-    ModelMerge, OwnCap, RemeshCommand, SmoothCommand, SmoothKind,
+    CleanCommand, Creases, CutLine, Edit, EditCommand, EditKind, EditOutcome, EditReport, EditedShape, KeptVertexRun,
+    MergeJoin, ModelMerge, OwnCap, RemeshCommand, SmoothCommand, SmoothKind,
 };
 pub use error::Error;
 pub use facts::{

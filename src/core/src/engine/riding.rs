@@ -2,10 +2,12 @@
 
 use crate::asset::{Model, ModelNode, NodeMotions, Primitive};
 use crate::engine::error::Error;
+use crate::engine::facts::DeformerWarning;
 use crate::engine::settings::{Passenger, PassengerKind};
 use crate::exec::Exec;
 use crate::mesh::carry::{CarriedFrame, CarriedPoints, CarrySurface, SurfaceCarrier, SurfaceMotion};
 use crate::mesh::rotation::fit_rotation;
+use crate::mesh::{Mesh, NONE};
 use crate::pool::Pool;
 use crate::progress::Cancelled;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
@@ -53,7 +55,9 @@ pub(super) fn mark_passengers(primitives: &mut [Primitive], passengers: &[Passen
             | PassengerKind::Model(_) => continue,
         };
         for index in meant {
-            if std::mem::replace(&mut primitives[index].is_passenger, true) {
+            let primitive = &mut primitives[index];
+            // Points and lines are passengers without being named.
+            if std::mem::replace(&mut primitive.is_passenger, true) && primitive.index_count > 0 {
                 return refuse(format!("primitive {index} is a passenger already"));
             }
         }
@@ -77,45 +81,119 @@ pub(super) fn clip_name(name: &str) -> String {
     name.chars().take(64).collect()
 }
 
-/// The render vertices of passengers, with what they follow.
+/// The render vertices that ride along, with what they follow: those of passengers, and those in no triangle.
 #[derive(Debug, Clone)]
 pub(super) struct RidingVertices {
     vertices: Vec<u32>,
     points: CarriedPoints,
+    /// Vertices that lie where a vertex of the surface is, each with that one: they go with it, bit for bit.
+    on_vertices: Vec<(u32, u32)>,
+    /// How many vertices in no triangle stay where they are, because finding what they follow would take too long.
+    left_behind: usize,
+}
+
+/// A model of which vertices ride along.
+#[derive(Clone, Copy)]
+pub(super) struct RidingModel<'a> {
+    pub mesh: &'a Mesh,
+    pub primitives: &'a [Primitive],
+    /// Where the render vertices are in the rest pose.
+    pub rest: &'a [DVec3],
+    /// Whether those in no triangle do, of primitives that are no passengers.
+    pub loose: bool,
+}
+
+impl RidingModel<'_> {
+    /// Vertices of passengers with triangles, which are carried as bodies of their own.
+    fn of_bodies(self) -> Vec<u32> {
+        let bodies = self.primitives.iter().filter(|p| p.is_passenger && p.index_count > 0);
+        bodies.flat_map(Primitive::vertices).map(|v| v as u32).collect()
+    }
+
+    /// Vertices of points and lines, and others in no triangle.
+    fn loose(self) -> Vec<u32> {
+        let own = self.primitives.iter().filter(|p| match p.is_passenger {
+            true => p.index_count == 0,
+            false => self.loose,
+        });
+        let vertices = own.flat_map(Primitive::vertices);
+        let is_loose = |v: &usize| self.mesh.solver_from_render[*v] == NONE;
+        vertices.filter(is_loose).map(|v| v as u32).collect()
+    }
+
+    /// Divides loose vertices into those at a vertex of the surface, with that one, and the others.
+    fn part_by_place(self, loose: Vec<u32>) -> (Vec<(u32, u32)>, Vec<u32>) {
+        if loose.is_empty() {
+            return Default::default();
+        }
+        // Adding zero makes of minus zero plain zero.
+        let place = |v: u32| (self.rest[v as usize] + DVec3::ZERO).to_array().map(f64::to_bits);
+        let surface = (0u32..).zip(&self.mesh.solver_from_render).filter(|(_, s)| **s != NONE);
+        let mut places: Vec<([u64; 3], u32)> = surface.map(|(v, _)| (place(v), v)).collect();
+        places.sort_unstable();
+        places.dedup_by_key(|(place, _)| *place);
+        let (mut there, mut others) = (Vec::new(), Vec::new());
+        for vertex in loose {
+            match places.binary_search_by_key(&place(vertex), |(place, _)| *place) {
+                Ok(at) => there.push((vertex, places[at].1)),
+                Err(_) => others.push(vertex),
+            }
+        }
+        (there, others)
+    }
 }
 
 impl RidingVertices {
-    /// Finds what every vertex of a passenger follows. `admit` says whether so many bytes may be held.
+    /// Finds what every vertex that rides along follows. `admit` says whether so many bytes may be held.
     ///
     /// # Errors
-    /// [`Error::Precondition`] when that looks at too much, [`Error::Cancelled`], and those of `admit`.
+    /// [`Error::Precondition`] when that looks at too much for vertices of passengers, [`Error::Cancelled`], and those of `admit`.
     pub fn bind(
         surface: &CarrySurface,
-        primitives: &[Primitive],
-        rest: &[DVec3],
+        model: RidingModel<'_>,
         admit: impl Fn(u64) -> Result<(), Error>,
         exec: &Exec<'_>,
     ) -> Result<Self, Error> {
-        let passengers = primitives.iter().filter(|p| p.is_passenger);
-        let vertices: Vec<u32> = passengers.flat_map(|p| p.vertices()).map(|v| v as u32).collect();
+        let mut vertices = model.of_bodies();
+        let bodies = vertices.len();
+        let (on_vertices, loose) = model.part_by_place(model.loose());
+        vertices.extend(loose);
         let mut riders = Self {
             points: CarriedPoints::default(),
             vertices,
+            on_vertices,
+            left_behind: 0,
         };
         let limit = LEAST_VISITS + VISITS_PER_VERTEX * riders.vertices.len() as u64;
         let mut visits = 0;
         for block in riders.vertices.chunks(BLOCK) {
-            let places: Vec<DVec3> = block.iter().map(|&v| rest[v as usize]).collect();
+            let places: Vec<DVec3> = block.iter().map(|&v| model.rest[v as usize]).collect();
             visits += riders.points.bind_more(surface, &places, exec)?;
+            if visits > limit && riders.points.len() >= bodies {
+                riders.left_behind = riders.vertices.len() - riders.points.len();
+                break;
+            }
             if visits > limit {
                 return Err(Error::Precondition(format!(
                     "finding what the vertices of passengers follow takes more than {limit} comparisons, because faces are as \
                      long as the model; remesh the model to give it faces of about one size, or open it without these passengers"
                 )));
             }
-            admit(riders.points.byte_size() as u64)?;
+            admit(riders.byte_size() as u64)?;
         }
         Ok(riders)
+    }
+
+    /// What is to be said of vertices that could not be bound.
+    pub fn warning(&self) -> Option<DeformerWarning> {
+        (self.left_behind > 0).then(|| {
+            let message = format!(
+                "{} vertices in no triangle stay where they are, because faces are as long as the model and finding what they \
+                 follow takes too long; remesh the model to give it faces of about one size",
+                self.left_behind
+            );
+            DeformerWarning::new("loose-vertices-stay", message, "")
+        })
     }
 
     /// Writes where they are when the surface is at `current`, among the positions of all render vertices.
@@ -125,11 +203,14 @@ impl RidingVertices {
         for (&vertex, frame) in self.vertices.iter().zip(&carried) {
             positions[vertex as usize] = frame.position;
         }
+        for &(vertex, like) in &self.on_vertices {
+            positions[vertex as usize] = positions[like as usize];
+        }
     }
 
     /// Bytes held on the heap.
     pub fn byte_size(&self) -> usize {
-        self.vertices.capacity() * 4 + self.points.byte_size()
+        (self.vertices.capacity() + 2 * self.on_vertices.capacity()) * 4 + self.points.byte_size()
     }
 }
 

@@ -28,6 +28,9 @@ pub struct OpenOptions {
     pub kept_apart: KeptApart,
     /// What rides along without being part of what is solved.
     pub passengers: Vec<Passenger>,
+    /// Whether vertices in no triangle, those of points and lines among them, ride along as well. Records of the time before
+    /// lack it: there the nodes of hard handles took those in their region along, and all others stayed.
+    pub loose_vertices_ride: bool,
     /// What else of the model's file follows its shape.
     pub following: Following,
 }
@@ -39,6 +42,17 @@ pub struct KeptApart {
     pub primitives: Vec<u32>,
     /// Indices of connected parts of the mesh.
     pub components: Vec<u32>,
+}
+
+impl OpenOptions {
+    /// Limits under which the models of such a deformer are read.
+    pub(super) fn reading_within(&self, limits: &DeformerLimits) -> DeformerLimits {
+        let model = asset::Limits {
+            points_and_lines: self.loose_vertices_ride,
+            ..limits.model
+        };
+        DeformerLimits { model, ..*limits }
+    }
 }
 
 impl Default for OpenOptions {
@@ -55,6 +69,7 @@ impl Default for OpenOptions {
                 ties: Some(TieOptions::default()),
             },
             passengers: Vec::new(),
+            loose_vertices_ride: true,
             following: Following::default(),
             kept_apart: KeptApart::default(),
         }

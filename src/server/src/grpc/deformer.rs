@@ -148,11 +148,13 @@ impl Deformer for Calls {
         let exported = call.manager.export(&call.tenant, &call.message.session_id, format);
         let exported = exported.await.map_err(status)?;
         let mut followed = pliant_wire::followed_message(&exported.written.followed);
+        let mut warnings = pliant_wire::written_warnings(&exported.written);
         let main = (String::new(), exported.written.main);
         let files: Vec<_> = std::iter::once(main).chain(exported.written.companions).collect();
         let all = files.into_iter().flat_map(|(uri, bytes)| chunks(uri, bytes.into()));
         Ok(Response::new(sent(all.map(move |chunk| pb::Chunk {
             followed: followed.take(),
+            warnings: std::mem::take(&mut warnings),
             ..chunk
         }))))
     }
@@ -191,7 +193,7 @@ fn chunks(uri: String, bytes: Bytes) -> impl Iterator<Item = pb::Chunk> + Send {
         pb::Chunk {
             data: bytes.slice(first..last),
             uri: uri.clone(),
-            followed: None,
+            ..Default::default()
         }
     })
 }

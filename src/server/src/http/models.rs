@@ -42,6 +42,8 @@ pub(super) async fn model(call: SessionCall, uri: Uri, headers: HeaderMap) -> Re
 pub(super) fn main_file(id: &str, exported: ExportedModel, headers: &HeaderMap) -> Result<Response, Problem> {
     let ExportedModel { written, format, etag } = exported;
     let file_name = format!("{id}.{format}");
+    let warnings = pliant_wire::written_warnings(&written).into_iter();
+    let warnings: Vec<String> = warnings.map(|w| format!("{}: {}", w.code, w.message)).collect();
     let download = Download {
         bytes: Bytes::from(written.main),
         media_type: format.media_type(),
@@ -54,6 +56,7 @@ pub(super) fn main_file(id: &str, exported: ExportedModel, headers: &HeaderMap) 
     {
         response.headers_mut().insert(FOLLOWED, value);
     }
+    add_warnings(response.headers_mut(), warnings.iter().map(String::as_str));
     for uri in written.companions.keys() {
         let target = utf8_percent_encode(uri, NON_ALPHANUMERIC);
         if let Ok(link) = HeaderValue::from_str(&format!(
@@ -63,6 +66,17 @@ pub(super) fn main_file(id: &str, exported: ExportedModel, headers: &HeaderMap) 
         }
     }
     Ok(response)
+}
+
+/// Adds a header for each warning.
+pub(super) fn add_warnings<'a>(headers: &mut HeaderMap, warnings: impl Iterator<Item = &'a str>) {
+    let plain = |c: char| if c.is_ascii_graphic() || c == ' ' { c } else { '?' };
+    for warning in warnings {
+        let line: String = warning.chars().map(plain).collect();
+        if let Ok(value) = HeaderValue::from_str(&clip(&line)) {
+            headers.append(HeaderName::from_static("x-pliant-warning"), value);
+        }
+    }
 }
 
 /// What followed the shape, in numbers; `None` where the file holds nothing of the kind.

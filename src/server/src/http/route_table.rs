@@ -192,7 +192,7 @@ pub(crate) const ROUTES: [Route; 23] = [
     Route {
         path: "/v1/sessions/{id}/model",
         rpc: Some("Export"),
-        summary: "Download the model. Honours Range, If-Range and If-None-Match. Companion files of a glTF are named by Link headers; x-pliant-followed counts what followed the shape.",
+        summary: "Download the model. Honours Range, If-Range and If-None-Match. Companion files of a glTF are named by Link headers; x-pliant-followed counts what followed the shape, x-pliant-warning says what the file has not.",
         query: &[FORMAT, ("uri", "a companion file of a glTF instead of the main file")],
         ..PLAIN
     },

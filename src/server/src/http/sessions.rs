@@ -359,13 +359,6 @@ async fn received_form(state: &ServerState, request: Request) -> Result<Animatio
 fn model_answer(played: AnimatedModel) -> Response {
     let mut response = Response::new(Body::from(played.model));
     let totals = pliant_wire::animation_totals(&played.summary.sums, played.summary.ms);
-    let warnings: Vec<String> = (played.summary.warnings.iter())
-        .map(|line| {
-            line.chars()
-                .map(|c| if c.is_ascii_graphic() || c == ' ' { c } else { '?' })
-                .collect()
-        })
-        .collect();
     let headers = response.headers_mut();
     headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(GLB));
     for (name, value) in [
@@ -379,11 +372,7 @@ fn model_answer(played: AnimatedModel) -> Response {
             headers.insert(HeaderName::from_static(name), value);
         }
     }
-    for warning in warnings {
-        if let Ok(value) = HeaderValue::from_str(&clip(&warning)) {
-            headers.append(HeaderName::from_static("x-pliant-warning"), value);
-        }
-    }
+    models::add_warnings(headers, played.summary.warnings.iter().map(String::as_str));
     response
 }
 

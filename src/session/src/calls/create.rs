@@ -174,6 +174,7 @@ fn new_session(
             files: FileReferences::default(),
             options,
             of_today: true,
+            loose_vertices_ride: true,
             label: record.label.clone(),
             format: opened.deformer.engine.format(),
             graph_bytes: Some(opened.graph_bytes),

@@ -19,6 +19,9 @@ pub(super) struct ModelMessage {
     /// See [`RecordedModel`](super::RecordedModel).
     #[prost(bool, tag = "6")]
     pub of_today: bool,
+    /// See [`RecordedModel`](super::RecordedModel).
+    #[prost(bool, tag = "7")]
+    pub loose_vertices_ride: bool,
 }
 
 /// Files by the names of the objects that hold them.

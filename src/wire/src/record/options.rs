@@ -18,6 +18,8 @@ pub struct RecordedModel {
     pub options: pb::CreateOptions,
     /// Whether `options` have today's defaults and weights. Records of before have the paper's graph, and weights of their time.
     pub of_today: bool,
+    /// Whether vertices in no triangle ride along, as they do today.
+    pub loose_vertices_ride: bool,
     /// The session's label.
     pub label: String,
     /// The format of its files.
@@ -36,6 +38,7 @@ impl RecordedModel {
             format: self.format.name().into(),
             graph_bytes: self.graph_bytes,
             of_today: self.of_today,
+            loose_vertices_ride: self.loose_vertices_ride,
         };
         message.encode_to_vec()
     }
@@ -50,6 +53,7 @@ impl RecordedModel {
             files: (message.files).ok_or_else(|| Error::invalid("model.files", "is missing"))?,
             options: message.options.unwrap_or_default(),
             of_today: message.of_today,
+            loose_vertices_ride: message.loose_vertices_ride,
             label: message.label,
             format: Format::from_name(&message.format)
                 .ok_or_else(|| Error::invalid("model.format", "is not a format"))?,
@@ -65,6 +69,7 @@ impl RecordedModel {
     /// What is wrong with the options.
     pub fn open_options(&self) -> Result<OpenOptions, Error> {
         let mut options = open_options(&self.options)?;
+        options.loose_vertices_ride = self.loose_vertices_ride;
         if !self.of_today {
             let graph = &mut options.body.graph;
             graph.kind = InteriorKind::Paper;
@@ -92,6 +97,7 @@ mod tests {
             },
             options: options.create.clone(),
             of_today: true,
+            loose_vertices_ride: true,
             label: "a label".into(),
             format: Format::OBJ,
             graph_bytes: Some(1 << 40),

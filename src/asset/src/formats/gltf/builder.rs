@@ -143,12 +143,17 @@ impl BufferBuilder {
 
     /// Adds the corners of triangles over so many vertices.
     pub(super) fn add_indices(&mut self, triangles: &[[u32; 3]], vertices: usize) -> usize {
-        let (bytes, component) = index_bytes(triangles.as_flattened(), vertices);
+        self.add_numbers_of_vertices(triangles.as_flattened(), vertices)
+    }
+
+    /// Adds numbers of so many vertices.
+    pub(super) fn add_numbers_of_vertices(&mut self, numbers: &[u32], vertices: usize) -> usize {
+        let (bytes, component) = index_bytes(numbers, vertices);
         let kind = match component {
             5123 => AccessorKind::Indices16,
             _ => AccessorKind::Indices32,
         };
-        self.add_accessor(&bytes, kind, triangles.len() * 3, "SCALAR", None)
+        self.add_accessor(&bytes, kind, numbers.len(), "SCALAR", None)
     }
 
     /// Adds bytes as a view of their own; its number.

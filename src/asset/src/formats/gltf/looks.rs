@@ -8,7 +8,7 @@ use super::document::GltfDocument;
 use super::read::{GltfNotes, PlacedPrimitive};
 use super::schema::WholeNumber;
 use super::text::{index_of, list_of, string_of};
-use crate::look::{AlphaMode, BaseMaterial, SurfaceLook, TextureUse, TextureWrap};
+use crate::look::{AlphaMode, BaseMaterial, PicturePlacing, SurfaceLook, TextureUse, TextureWrap};
 use crate::{Error, Model};
 use bytes::Bytes;
 use serde::Deserialize;
@@ -222,6 +222,13 @@ impl LookSections<'_> {
             nearest: index_of(sampler, "magFilter") == Some(9728),
         }
     }
+}
+
+/// Where texture coordinates lie on a texture that is used.
+pub(super) fn placing_of(used: &serde_json::Value) -> PicturePlacing {
+    let stored = &used["extensions"]["KHR_texture_transform"];
+    let transform = TransformItem::deserialize(stored).unwrap_or_default();
+    PicturePlacing(matrix_of(&transform))
 }
 
 /// `KHR_texture_transform`: scale, then rotate, then offset.

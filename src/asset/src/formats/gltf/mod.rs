@@ -54,6 +54,7 @@ mod deformed;
 mod document;
 mod draco;
 mod edited;
+mod extensions;
 mod fresh;
 mod looks;
 mod moving;
@@ -79,12 +80,14 @@ pub(super) use buffers::media_type_of;
 pub(super) use buffers::of_file_name as uri_of_name;
 pub(super) use builder::GlbWriter;
 pub(super) use document::{GLB_FORMAT, GLTF_FORMAT};
+pub(super) use extensions::extension_table;
 pub(super) use fresh::unit_normals;
 
 use crate::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile};
 use crate::edited::{EditedModel, PrimitiveRun};
 use crate::files::ReadWatch;
 use crate::look::SurfaceLook;
+use crate::model::is_same;
 use crate::moving_scene::{MovingScene, PlayedClip, PrimitiveShapes, SceneClip};
 use crate::neutral::{NeutralModel, RunAttributes};
 use crate::vertex_attributes::AttributeKeys;
@@ -137,7 +140,10 @@ impl FormatCodec for GltfCodec {
         let plan = sharing::plan_overwrites(&doc, notes, &model.geometry, wanted);
         let written = package::package(notes.files(model), patch::patch(&doc, &plan)?, format)?;
         let clips = doc.items(&doc.animations);
-        let written = rig::rewrite::finish(tree.as_ref(), written, format, &doc, clips, &tally)?;
+        let mut written = rig::rewrite::finish(tree.as_ref(), written, format, &doc, clips, &tally)?;
+        if !is_same(&model.geometry.positions, positions) {
+            written.warnings.extend(extensions::doubtful_extensions(&doc, false));
+        }
         self_contained_if_new(written, model.format, format)
     }
 
@@ -149,6 +155,11 @@ impl FormatCodec for GltfCodec {
         let notes: &GltfNotes = model.notes_or_refuse(model.format)?;
         let doc = notes.document(model)?;
         Ok(deformed::nothing_followed(&doc, notes))
+    }
+
+    fn beyond_conversion(&self, model: &Model, is_merged: bool) -> Result<Vec<String>, Error> {
+        let notes: &GltfNotes = model.notes_or_refuse(model.format)?;
+        Ok(extensions::beyond_conversion(&notes.document(model)?, is_merged))
     }
 
     fn joint_names(&self, model: &Model) -> Result<BTreeSet<String>, Error> {

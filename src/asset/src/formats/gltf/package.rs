@@ -201,6 +201,7 @@ pub(super) fn embed_companions(written: WrittenFiles, fault: GltfFault) -> Resul
         main,
         mut companions,
         followed,
+        warnings,
     } = written;
     let parts = container::split(&main, fault)?;
     let Ok(text) = std::str::from_utf8(parts.json) else {
@@ -224,6 +225,7 @@ pub(super) fn embed_companions(written: WrittenFiles, fault: GltfFault) -> Resul
             main,
             companions,
             followed,
+            warnings,
         });
     }
     if let Some(first) = list_of(text, "buffers").first() {
@@ -236,6 +238,7 @@ pub(super) fn embed_companions(written: WrittenFiles, fault: GltfFault) -> Resul
         main,
         companions,
         followed,
+        warnings,
     })
 }
 

@@ -127,22 +127,13 @@ fn read_document(
     }
     super::package::warn_of_missing(doc, files, &mut reader.geometry.warnings);
     let placements = &scene.placements;
-    // What draws no triangles under one node draws none under any other, and must not cost anything there.
-    let mut drawn: Vec<Option<Vec<usize>>> = vec![None; doc.meshes.len()];
-    for placement in placements {
-        let primitives = drawn[placement.mesh].take();
-        let primitives =
-            primitives.unwrap_or_else(|| (0..doc.meshes.values[placement.mesh].primitives.len()).collect());
-        let mut kept = Vec::with_capacity(primitives.len());
-        for p in primitives {
-            if reader.add_placement(&scene, placement, p)? {
-                kept.push(p);
-            }
-        }
-        drawn[placement.mesh] = Some(kept);
+    reader.add_placements(&scene, PrimitiveClass::Triangles)?;
+    if watch.points_and_lines {
+        // After all others, whose numbers are the same in a file without these.
+        reader.add_placements(&scene, PrimitiveClass::PointsAndLines)?;
     }
     let GltfReader { mut geometry, rows, .. } = reader;
-    if geometry.triangles.is_empty() {
+    if geometry.positions.is_empty() {
         return Err(Error::NoMesh {
             format,
             problem: what_is_there(doc, placements),
@@ -202,16 +193,83 @@ struct PlacedVertices<'a> {
     place: String,
 }
 
+/// What a primitive draws.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum PrimitiveClass {
+    Triangles,
+    PointsAndLines,
+}
+
+impl PrimitiveClass {
+    fn of(primitive: &MeshPrimitive) -> Self {
+        match primitive.mode() {
+            ..4 => Self::PointsAndLines,
+            _ => Self::Triangles,
+        }
+    }
+}
+
 impl GltfReader<'_, '_> {
-    /// Adds a primitive under a node; `false` when it has no triangles.
+    /// Adds the primitives of a class under every node of the scene.
+    fn add_placements(&mut self, scene: &PlacedScene, class: PrimitiveClass) -> Result<(), Error> {
+        let meshes = &self.doc.meshes.values;
+        let of_class = |mesh: usize| -> Vec<usize> {
+            let primitives = meshes[mesh].primitives.iter().enumerate();
+            primitives
+                .filter(|(_, p)| PrimitiveClass::of(p) == class)
+                .map(|(p, _)| p)
+                .collect()
+        };
+        // What draws nothing under one node draws nothing under any other, and must not cost anything there.
+        let mut drawn: Vec<Option<Vec<usize>>> = vec![None; meshes.len()];
+        for placement in &scene.placements {
+            let mut kept = Vec::new();
+            for p in drawn[placement.mesh].take().unwrap_or_else(|| of_class(placement.mesh)) {
+                let is_there = match class {
+                    PrimitiveClass::Triangles => self.add_placement(scene, placement, p)?,
+                    PrimitiveClass::PointsAndLines => self.add_readable(scene, placement, p)?,
+                };
+                if is_there {
+                    kept.push(p);
+                }
+            }
+            drawn[placement.mesh] = Some(kept);
+        }
+        Ok(())
+    }
+
+    /// As [`GltfReader::add_placement`], for a primitive without which the model can be used.
+    fn add_readable(&mut self, scene: &PlacedScene, placement: &MeshPlacement, p: usize) -> Result<bool, Error> {
+        let Geometry {
+            positions,
+            normals,
+            tangents,
+            ..
+        } = &self.geometry;
+        let counts = [positions.len(), normals.len(), tangents.len()];
+        let unreadable = match self.add_placement(scene, placement, p) {
+            Err(e @ Error::Malformed { .. }) => e,
+            found => return found,
+        };
+        self.geometry.positions.truncate(counts[0]);
+        self.geometry.normals.truncate(counts[1]);
+        self.geometry.tangents.truncate(counts[2]);
+        let message = format!("the points or lines of a primitive stay as they are stored: {unreadable}");
+        self.warn(
+            "points-not-read",
+            message,
+            format!("meshes/{}/primitives/{p}", placement.mesh),
+        );
+        Ok(false)
+    }
+
+    /// Adds a primitive under a node; `false` when it draws nothing.
     fn add_placement(&mut self, scene: &PlacedScene, placement: &MeshPlacement, p: usize) -> Result<bool, Error> {
         let doc = self.doc;
         let mesh = &doc.meshes.values[placement.mesh];
         let primitive = &mesh.primitives[p];
         let place = || format!("meshes/{}/primitives/{p}", placement.mesh);
-        if primitive.mode() < 4 {
-            return Ok(false);
-        }
+        let class = PrimitiveClass::of(primitive);
         let rows = self.rows.len() as u64 + 1;
         within("number of placed primitives", rows, MOST_ROWS)?;
         let Some(positions) = primitive.attribute("POSITION") else {
@@ -241,7 +299,7 @@ impl GltfReader<'_, '_> {
         } else {
             Vec::new()
         };
-        if triangles.is_empty() {
+        if triangles.is_empty() && class == PrimitiveClass::Triangles {
             self.warn("no-triangles", "has no triangles; it is passed through", place());
             return Ok(false);
         }
@@ -284,7 +342,7 @@ impl GltfReader<'_, '_> {
             index_count: (triangles.len() * 3) as u32,
             has_normals,
             has_tangents,
-            is_passenger: false,
+            is_passenger: class == PrimitiveClass::PointsAndLines,
         });
         self.rows.push(PlacedPrimitive {
             node: placement.node,
@@ -307,10 +365,10 @@ impl GltfReader<'_, '_> {
         self.watch.check_vertices(before.saturating_add(vertices))?;
         let indexed = primitive.indices.map(|i| self.doc.accessors.values[i.index()].count.0);
         let corners = indexed.unwrap_or(vertices);
-        let most = if primitive.mode() == 4 {
-            corners / 3
-        } else {
-            corners.saturating_sub(2)
+        let most = match primitive.mode() {
+            ..4 => 0,
+            4 => corners / 3,
+            _ => corners.saturating_sub(2),
         };
         self.examined = self.examined.saturating_add(most);
         self.watch.check_triangles(self.examined)?;

@@ -4,15 +4,16 @@ use super::super::text::{NumberPrecision, push_number};
 use super::library::{MaterialLibrary, read_libraries};
 use super::read::{ObjNotes, has_no_number, read_statements};
 use super::statements::{
-    CornerAttributes, FaceState, NO_TEXTURE, ObjStatements, TextureCoordinate, divide_corners, name_in, object_numbers,
-    parse_numbers, printable, push_corner, push_line, push_numbers,
+    CornerAttributes, FaceState, NO_TEXTURE, ObjElement, ObjStatements, TextureCoordinate, divide_corners, name_in,
+    object_numbers, parse_numbers, printable, push_corner, push_line, push_numbers,
 };
 use crate::codec::EditedOutput;
-use crate::edited::{EditedModel, PrimitiveRun, RunFaces, TriangleOrigins};
+use crate::edited::{EditedModel, FollowedLines, PrimitiveRun, RunFaces, TriangleOrigins};
+use crate::files::counted;
 use crate::look::NamedMaterial;
 use crate::neutral::{RunAttributes, RunPart};
 use crate::vertex_attributes::{AttributeKeys, hash_bytes, hash_numbers, normal_key};
-use crate::{Error, Model, WrittenFiles};
+use crate::{Error, Model, WrittenFiles, WrittenWarning};
 use glam::{DVec3, Vec3};
 use pliant_mesh::mix_bits;
 use std::collections::BTreeMap;
@@ -56,6 +57,13 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<WrittenFiles, Er
             faces.add_run(&mut out, run, parted, statements, (output.run_faces)(run).as_ref());
         }
     }
+    let mut lost = 0;
+    for (base, statements) in (0u32..).zip(&all) {
+        if let Some(statements) = statements.as_ref().filter(|s| !s.elements.is_empty()) {
+            let own = edited.runs.iter().filter(|run| run.base == base);
+            lost += faces.add_elements(base as usize, statements, &FollowedLines::of_runs(edited, own));
+        }
+    }
     faces.write_faces(&mut out);
     for base in (0..edited.bases.len()).filter(|&b| all[b].is_none()) {
         foreign_base(&mut out, output, base as u32, &mut faces)?;
@@ -72,9 +80,12 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<WrittenFiles, Er
             companions.entry(name.clone()).or_insert_with(|| bytes.to_vec());
         }
     }
+    let lost = counted(lost, "vertex of lines and points", "vertices of lines and points");
+    let left_out = WrittenWarning::left_out(lost.as_slice(), output.format, "after the edit ");
     Ok(WrittenFiles {
         main: out,
         companions,
+        warnings: left_out.into_iter().collect(),
         ..WrittenFiles::default()
     })
 }
@@ -182,6 +193,45 @@ impl<'a> EditedFaces<'a> {
         self.bases = self.bases.max(run.base as usize);
         self.textures += parted.textures.len() as u64;
         self.normals += lines.len() as u64;
+    }
+
+    /// Takes note of lines and points; answers how many of their vertices are gone.
+    fn add_elements(&mut self, base: usize, statements: &ObjStatements<'a>, followed: &FollowedLines) -> usize {
+        let objects = object_numbers(&statements.states);
+        let mut lost = 0;
+        for ObjElement {
+            state,
+            keyword,
+            vertices,
+        } in &statements.elements
+        {
+            let there = match keyword {
+                b'l' => {
+                    let (line, gone) = followed.line(vertices);
+                    lost += gone;
+                    line.unwrap_or_default()
+                }
+                _ => {
+                    let there: Vec<u32> = vertices.iter().filter_map(|v| followed.vertex(*v)).collect();
+                    lost += vertices.len() - there.len();
+                    there
+                }
+            };
+            if there.is_empty() {
+                continue;
+            }
+            let numbers: String = there.iter().map(|v| format!(" {}", u64::from(*v) + 1)).collect();
+            self.list.push(EditedFace {
+                order: (
+                    base,
+                    objects.get(&state.object).copied().unwrap_or(objects.len()),
+                    state.material.is_some(),
+                ),
+                state: *state,
+                text: [&[*keyword], numbers.as_bytes()].concat(),
+            });
+        }
+        lost
     }
 
     fn write_faces(&mut self, out: &mut Vec<u8>) {

@@ -4,7 +4,7 @@
 
 use super::super::text::{NumberPrecision, TextLexer, number, push_number};
 use super::statements::{STYLE, name_in, printable};
-use crate::look::{AlphaMode, BaseLook, MaterialPicture, NamedMaterial, inside_folder};
+use crate::look::{AlphaMode, BaseLook, MaterialPicture, NamedMaterial, PicturePlacing, inside_folder};
 use crate::{FileSet, Geometry};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -157,6 +157,24 @@ fn picture_of(rest: &str, files: &FileSet) -> Option<MaterialPicture> {
     Some(MaterialPicture { name, bytes })
 }
 
+/// Where texture coordinates lie on the picture that a statement names: `-s` scales them, then `-o` moves them.
+fn placing_of(rest: &str) -> PicturePlacing {
+    let pair = |option: &str, missing: f64| {
+        let mut words = rest.split_whitespace().skip_while(|word| *word != option).skip(1);
+        let mut next = || {
+            words
+                .next()
+                .and_then(|word| number(word.as_bytes()))
+                .filter(|x| x.is_finite())
+        };
+        let first = next();
+        [first.unwrap_or(missing), first.and_then(|_| next()).unwrap_or(missing)]
+    };
+    let ([su, sv], [ou, ov]) = (pair("-s", 1.0), pair("-o", 0.0));
+    // They count from the lower left corner there.
+    PicturePlacing([su, 0.0, ou, 0.0, sv, 1.0 - sv - ov])
+}
+
 /// The text behind its first word.
 fn after_word<'a>(text: &'a str, word: &str) -> &'a str {
     let text = text.trim_start();
@@ -220,7 +238,10 @@ fn read_library(text: &[u8], files: &FileSet, library: &mut MaterialLibrary) {
                     }
                 }
             }
-            "map_Kd" => look.picture = picture_of(rest, files),
+            "map_Kd" => {
+                look.picture = picture_of(rest, files);
+                look.placing = placing_of(rest);
+            }
             "norm" => look.normals = picture_of(rest, files),
             "map_d" => look.coverage = AlphaMode::Blend,
             _ => {}

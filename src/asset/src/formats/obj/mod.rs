@@ -15,7 +15,7 @@ pub(super) use read::FORMAT;
 use super::text::{NumberPrecision, TextLexer, TextPatch, newline_of, push_triple};
 use crate::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile, patch_text_file};
 use crate::edited::{EditedModel, FaceOutlines, PrimitiveRun};
-use crate::files::ReadWatch;
+use crate::files::{ReadWatch, counted};
 use crate::look::NamedMaterial;
 use crate::model::position_bits;
 use crate::neutral::{NeutralModel, NeutralPrimitive, RunAttributes, RunPart};
@@ -23,7 +23,7 @@ use crate::vertex_attributes::AttributeKeys;
 use crate::{Error, FileSet, Format, Geometry, Model, WrittenFiles};
 use glam::{DVec3, Vec3};
 use library::write_library;
-use read::{NormalLines, NormalPlan, ObjNotes};
+use read::{BeyondFaces, NormalLines, NormalPlan, ObjNotes};
 use statements::{FaceCorner, STYLE, printable, push_corner, push_line, push_numbers, resolve};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -64,6 +64,17 @@ impl FormatCodec for ObjCodec {
 
     fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {
         Ok(edited::run_attributes(edited, runs))
+    }
+
+    fn beyond_conversion(&self, model: &Model, is_merged: bool) -> Result<Vec<String>, Error> {
+        let BeyondFaces { lines, points, curves } = model.notes_or_refuse::<ObjNotes>(FORMAT)?.beyond;
+        let drawn = [
+            counted(lines, "line", "lines"),
+            counted(points, "statement of points", "statements of points"),
+        ];
+        let of_other = drawn.into_iter().filter(|_| !is_merged);
+        let curves = counted(curves, "curve or surface", "curves and surfaces");
+        Ok(of_other.chain([curves]).flatten().collect())
     }
 
     fn seam_parts(

@@ -8,7 +8,9 @@
 
 use super::super::polygons::Polygons;
 use super::super::text::{TextLexer, TextToken, number, shown};
-use super::statements::{FaceCorner, FaceState, NO_NORMAL, NO_TEXTURE, ObjStatements, STYLE, parse_numbers, resolve};
+use super::statements::{
+    FaceCorner, FaceState, NO_NORMAL, NO_TEXTURE, ObjElement, ObjStatements, STYLE, parse_numbers, resolve,
+};
 use crate::edited::FaceOutlines;
 use crate::files::{ReadWatch, check_main_size};
 use crate::format::{FormatDetails, Recognition};
@@ -34,6 +36,17 @@ pub(super) struct ObjNotes {
     pub normals: Option<NormalLines>,
     /// Faces of more than three corners.
     pub outlines: FaceOutlines,
+    /// What other formats do not take.
+    pub beyond: BeyondFaces,
+}
+
+/// How many statements there are that draw something else than faces.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct BeyondFaces {
+    pub lines: usize,
+    pub points: usize,
+    /// Curves and surfaces of any kind.
+    pub curves: usize,
 }
 
 impl FileNotes for ObjNotes {
@@ -84,6 +97,7 @@ pub(super) struct ObjReader<'a> {
     small_faces: Occurrences,
     bad_normals: Occurrences,
     bad_coordinates: Occurrences,
+    beyond: BeyondFaces,
 }
 
 /// How often something was seen, and on which line first.
@@ -118,6 +132,7 @@ impl<'a> ObjReader<'a> {
             small_faces: Occurrences::default(),
             bad_normals: Occurrences::default(),
             bad_coordinates: Occurrences::default(),
+            beyond: BeyondFaces::default(),
         }
     }
 
@@ -159,11 +174,34 @@ impl<'a> ObjReader<'a> {
                         kept.keep_line(word, &self.bytes[keyword.start..self.lexer.rest_of_line().end]);
                     }
                 }
+                b"l" => {
+                    self.beyond.lines += 1;
+                    self.keep_element(b'l');
+                }
+                b"p" => {
+                    self.beyond.points += 1;
+                    self.keep_element(b'p');
+                }
+                b"curv" | b"surf" => self.beyond.curves += 1,
                 _ => {}
             }
             self.lexer.end_line();
         }
         Ok(())
+    }
+
+    /// Keeps a line or points, where that is asked for, with the vertices that there are.
+    fn keep_element(&mut self, keyword: u8) {
+        let count = self.positions.len() as u32;
+        let Some(kept) = &mut self.kept else { return };
+        let words = std::iter::from_fn(|| self.lexer.token_on_line());
+        let corners: Vec<TextToken> = words.collect();
+        let vertex = |word: &TextToken| resolve(FaceCorner::parse(&self.lexer, *word)?.vertex, count);
+        kept.out.elements.push(ObjElement {
+            state: kept.state,
+            keyword,
+            vertices: corners.iter().filter_map(vertex).collect(),
+        });
     }
 
     fn read_triple(&mut self, keyword: TextToken) -> Result<[TextToken; 3], Error> {
@@ -296,7 +334,12 @@ impl<'a> ObjReader<'a> {
             "texture coordinates are not finite; where they are rewritten they become 0",
         );
         geometry.warn_about_crude_polygons(crude);
-        Ok((geometry, ObjNotes { normals, outlines }))
+        let notes = ObjNotes {
+            normals,
+            outlines,
+            beyond: self.beyond,
+        };
+        Ok((geometry, notes))
     }
 }
 

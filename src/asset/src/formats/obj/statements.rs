@@ -40,6 +40,18 @@ pub(super) struct ObjStatements<'a> {
     pub corner_normals: Vec<u32>,
     /// For each triangle what holds for it.
     pub states: Vec<FaceState<'a>>,
+    /// Lines and points.
+    pub elements: Vec<ObjElement<'a>>,
+}
+
+/// A line or points.
+pub(super) struct ObjElement<'a> {
+    /// What holds for it.
+    pub state: FaceState<'a>,
+    /// `l` or `p`.
+    pub keyword: u8,
+    /// Its vertices, counted from 0.
+    pub vertices: Vec<u32>,
 }
 
 /// The numbers of a line; words that are none end it.

@@ -3,7 +3,7 @@ use super::build;
 use super::read::ObjReader;
 use crate::files::ReadWatch;
 use crate::neutral::NeutralModel;
-use crate::{Error, FileSet, Format, Limits, Model};
+use crate::{Error, FileSet, Format, Limits, Model, WrittenFiles};
 use glam::{DQuat, DVec3, Vec3};
 use pliant_exec::progress::Silent;
 use pliant_mesh::shading;
@@ -397,4 +397,50 @@ fn named_corners(text: &str) -> Vec<(u32, u32, Vec3)> {
         .zip(&reader.corner_normals)
         .map(corner)
         .collect()
+}
+
+#[test]
+fn pictures_lie_where_their_options_say_in_every_format() {
+    let text = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl m\nf 1/1 2/2 3/3\n";
+    let mut files = FileSet::single("a.obj", text);
+    let library = "newmtl m\nmap_Kd -s 2 0.5 1 -o 0.25 0.1 my picture.png\n";
+    files.companions.insert("a.mtl".into(), library.into());
+    files
+        .companions
+        .insert("my picture.png".into(), b"\x89PNG".to_vec().into());
+    let model = Model::read(files, None, &Limits::default()).expect("valid");
+    let seen = |model: &Model| model.drawn().expect("a look").look.uv;
+    // From the lower left: (0, 0) is at (0.25, 0.1), (1, 0) at (2.25, 0.1), (0, 1) at (0.25, 0.6).
+    let placed = [[0.25, 0.9], [2.25, 0.9], [0.25, 0.4]];
+    let is_near = |seen: &[[f32; 2]]| {
+        let pairs = seen.as_flattened().iter().zip(placed.as_flattened());
+        seen.len() == 3 && pairs.into_iter().all(|(a, b): (&f32, &f32)| (a - b).abs() < 1e-6)
+    };
+    assert!(is_near(&seen(&model)), "{:?}", seen(&model));
+    let read = |written: WrittenFiles, name: &str| {
+        Model::read(written.into_files(name), None, &Limits::default()).expect("valid")
+    };
+    let written = model.write(&model.positions, Format::GLTF).expect("writable");
+    let json = String::from_utf8(written.main.clone()).expect("text");
+    let as_gltf = read(written.clone(), "a.gltf");
+    assert!(is_near(&seen(&as_gltf)), "{:?}", seen(&as_gltf));
+
+    // The same by the extension of glTF, and back.
+    let plain = r#""baseColorTexture":{"index":0"#;
+    assert!(json.contains(plain), "{json}");
+    let transform = r#","extensions":{"KHR_texture_transform":{"offset":[0.5,0.25],"scale":[2,3],"rotation":0.5}}"#;
+    let json = json.replace(plain, &format!("{plain}{transform}"));
+    let moved = read(
+        WrittenFiles {
+            main: json.into_bytes(),
+            ..written
+        },
+        "a.gltf",
+    );
+    let drawn = seen(&moved);
+    assert!(!is_near(&drawn));
+    let back = read(moved.write(&moved.positions, Format::OBJ).expect("writable"), "b.obj");
+    for (a, b) in seen(&back).as_flattened().iter().zip(drawn.as_flattened()) {
+        assert!((a - b).abs() < 1e-6, "{:?} {drawn:?}", seen(&back));
+    }
 }

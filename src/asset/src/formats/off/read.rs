@@ -42,8 +42,17 @@ fn recognise(bytes: &[u8]) -> Recognition {
     let text = bytes.trim_ascii_start();
     let word = text.split(|b| b.is_ascii_whitespace()).next().unwrap_or_default();
     // ST, C, N, 4 and n may stand before OFF: texture coordinates, colours, normals, dimensions.
-    let is_keyword = |prefix: &[u8]| prefix.iter().all(|b| b"STCN4n".contains(b));
-    Recognition::words(word.strip_suffix(b"OFF").is_some_and(is_keyword))
+    let is_keyword = |(prefix, _): (&[u8], usize)| prefix.iter().all(|b| b"STCN4n".contains(b));
+    Recognition::words(keyword_of(word).is_some_and(is_keyword))
+}
+
+/// What stands before `OFF` or `off` in a word, and how long both are. The number of vertices may follow without a blank.
+fn keyword_of(word: &[u8]) -> Option<(&[u8], usize)> {
+    let at = word.windows(3).position(|three| three == b"OFF" || three == b"off")?;
+    word[at + 3..]
+        .iter()
+        .all(u8::is_ascii_digit)
+        .then_some((&word[..at], at + 3))
 }
 
 pub(super) const STYLE: TextStyle = TextStyle {
@@ -107,7 +116,7 @@ pub(super) fn read_header(lexer: &mut TextLexer<'_>) -> Result<bool, Error> {
         return Err(malformed(lexer.line(), "the file is empty; the keyword OFF is needed"));
     };
     let word = lexer.text(token);
-    let Some(prefix) = word.strip_suffix(b"OFF") else {
+    let Some((prefix, length)) = keyword_of(word) else {
         if integer(word).is_some() {
             return Ok(false);
         }
@@ -132,6 +141,7 @@ pub(super) fn read_header(lexer: &mut TextLexer<'_>) -> Result<bool, Error> {
         ));
     }
     *lexer = ahead.clone();
+    lexer.go_back_to(token.start + length);
     if ahead.token_on_line().is_some_and(|t| ahead.text(t) == b"BINARY") {
         return Err(unsupported("binary OFF", "write it as text, or as PLY or GLB"));
     }

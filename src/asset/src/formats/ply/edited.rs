@@ -2,12 +2,13 @@
 
 use super::super::text::newline_of;
 use super::body::{PlyElement, PlyEncoding, PlyProperty, PlyScalar, push};
-use super::read::{FORMAT, PlyNotes, PlyTable, VertexRole, is_indices, read_table, stored_types};
+use super::read::{FORMAT, PlyNotes, PlyTable, VertexRole, edge_ends, is_indices, read_table, stored_types};
 use crate::codec::EditedOutput;
-use crate::edited::{CarriedAttributes, EditedModel, PrimitiveRun, RunFaces, TriangleOrigins};
+use crate::edited::{CarriedAttributes, EditedModel, FollowedLines, PrimitiveRun, RunFaces, TriangleOrigins};
+use crate::files::counted;
 use crate::neutral::RunAttributes;
 use crate::vertex_attributes::{AttributeKeys, hash_numbers};
-use crate::{Error, Model};
+use crate::{Error, Model, WrittenFiles, WrittenWarning};
 use glam::{DVec3, Vec3};
 use pliant_mesh::{NONE, mix_bits};
 use std::collections::BTreeMap;
@@ -27,8 +28,8 @@ const COORDINATES: [[&str; 2]; 4] = [
 ];
 
 /// A file of the edited model in the encoding and with the properties of the first base. Faces that the edit left
-/// alone stay whole, others are triangles; they have the numbers of the face that they lie on. Edges are left out.
-pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> {
+/// alone stay whole, others are triangles; they have the numbers of the face that they lie on.
+pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
     let EditedOutput { edited, positions, .. } = *output;
     let tables = edited.read_bases(|model, _: &PlyNotes| read_table(&model.files.main, &model.positions))?;
     let notes = edited.bases.first().and_then(|base| base.model.notes::<PlyNotes>());
@@ -44,8 +45,10 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> 
         tables: &tables,
         stored: stored_types(notes, positions)?,
         run_faces: edited.runs.iter().map(output.run_faces).collect(),
+        edges: Vec::new(),
         out: Vec::new(),
     };
+    let lost = writer.follow_edges();
     writer.write_header(&edited.bases[0].model.files.main);
     let mut faces_written = false;
     for (e, element) in first.header.elements.iter().enumerate() {
@@ -55,11 +58,17 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> 
                 faces_written = true;
                 writer.write_faces()?;
             }
-            "face" | "tristrips" | "edge" => {}
+            "face" | "tristrips" => {}
+            "edge" => writer.write_edges(element),
             _ => writer.copy_row(first.others.get(&e).copied().unwrap_or(&[])),
         }
     }
-    Ok(writer.out)
+    let edges = counted(lost, "edge", "edges");
+    let mut written = WrittenFiles::single(writer.out);
+    written
+        .warnings
+        .extend(WrittenWarning::left_out(edges.as_slice(), FORMAT, "after the edit "));
+    Ok(written)
 }
 
 /// The numbers of vertices beside position and normal, and those of the faces around them.
@@ -116,6 +125,8 @@ struct EditedPlyWriter<'w, 'a> {
     stored: Vec<PlyScalar>,
     /// For each run its faces, where some have more than three corners.
     run_faces: Vec<Option<RunFaces>>,
+    /// The rows of edges.
+    edges: Vec<Vec<f64>>,
     out: Vec<u8>,
 }
 
@@ -160,7 +171,13 @@ impl EditedPlyWriter<'_, '_> {
                         }
                     }
                 }
-                "edge" => {}
+                "edge" if self.edges.is_empty() => {}
+                "edge" => {
+                    push(format!("element edge {}", self.edges.len()).as_bytes());
+                    for (property, scalar) in element.properties.iter().zip(edge_types(element, self.positions.len())) {
+                        push(property_line(property, scalar).as_bytes());
+                    }
+                }
                 name => {
                     push(format!("element {name} {}", element.rows).as_bytes());
                     for property in &element.properties {
@@ -346,6 +363,43 @@ impl EditedPlyWriter<'_, '_> {
         Ok(())
     }
 
+    /// Finds where the edges of the first base are now; answers how many are gone though the surface around them is not.
+    fn follow_edges(&mut self) -> usize {
+        let elements = self.first.header.elements.iter().filter(|e| e.name == "edge");
+        let mut named = elements.clone().filter_map(edge_ends);
+        let Some(ends) = named.next() else {
+            return elements.map(|e| e.rows as usize).sum();
+        };
+        let own = self.edited.runs.iter().filter(|run| run.base == 0);
+        let followed = FollowedLines::of_runs(self.edited, own);
+        let mut lost = 0;
+        for row in &self.first.edges {
+            let [a, b] = ends.map(|end| row[end] as u32);
+            // An edge that lies on no triangle joins its two vertices, where both are left.
+            let both = || Some(vec![[followed.vertex(a)?, followed.vertex(b)?]]);
+            let along = followed.edges_along(a, b).or_else(both);
+            lost += usize::from(along.is_none());
+            for edge in along.into_iter().flatten() {
+                let mut row = row.clone();
+                ends.iter()
+                    .zip(edge)
+                    .for_each(|(end, vertex)| row[*end] = f64::from(vertex));
+                self.edges.push(row);
+            }
+        }
+        lost
+    }
+
+    fn write_edges(&mut self, element: &PlyElement) {
+        let types = edge_types(element, self.positions.len());
+        for row in std::mem::take(&mut self.edges) {
+            for (p, (value, scalar)) in row.iter().zip(&types).enumerate() {
+                self.write_number(*value, *scalar, p == 0);
+            }
+            self.end_row();
+        }
+    }
+
     fn copy_row(&mut self, bytes: &[u8]) {
         if self.first.encoding == PlyEncoding::Ascii {
             self.out.extend_from_slice(bytes.trim_ascii());
@@ -399,6 +453,18 @@ enum PropertyColumn {
     /// The same for all, 1 being the whole of the type's range.
     Constant(f64),
     Nothing,
+}
+
+/// The types of the numbers of edges, of which two number so many vertices.
+fn edge_types(element: &PlyElement, vertices: usize) -> Vec<PlyScalar> {
+    let ends = edge_ends(element);
+    let holds = |scalar: PlyScalar| scalar.holds_exactly(vertices as f64);
+    let is_end = |p: usize| ends.is_some_and(|ends| ends.contains(&p));
+    let wide = |(p, property): (usize, &PlyProperty)| match is_end(p) && !holds(property.scalar) {
+        true => PlyScalar::U32,
+        false => property.scalar,
+    };
+    element.properties.iter().enumerate().map(wide).collect()
 }
 
 /// The properties of faces: those of the first base, in types that hold the numbers of vertices and corners.

@@ -48,7 +48,11 @@ impl FormatCodec for PlyCodec {
     }
 
     fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
-        edited::write_edited(output).map(WrittenFiles::single)
+        edited::write_edited(output)
+    }
+
+    fn beyond_conversion(&self, model: &Model, _: bool) -> Result<Vec<String>, Error> {
+        Ok(model.notes_or_refuse::<PlyNotes>(FORMAT)?.beyond.clone())
     }
 
     fn face_outlines<'a>(&self, model: &'a Model) -> Option<&'a FaceOutlines> {

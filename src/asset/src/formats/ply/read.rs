@@ -33,6 +33,8 @@ pub(super) struct PlyNotes {
     pub normal: Option<[usize; 3]>,
     /// Faces of more than three corners.
     pub outlines: FaceOutlines,
+    /// What no other format takes, in words.
+    pub beyond: Vec<String>,
 }
 
 impl FileNotes for PlyNotes {
@@ -70,6 +72,7 @@ pub(super) fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, Ply
         position: [x, y, z],
         normal,
         outlines: FaceOutlines::default(),
+        beyond: beyond_faces(&header),
     };
     let (mut positions, mut normals) = (Vec::new(), Vec::new());
     let mut faces = Polygons::default();
@@ -93,6 +96,19 @@ pub(super) fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, Ply
     let (geometry, outlines) = faces.into_geometry(positions, normals, watch)?;
     notes.outlines = outlines;
     Ok((geometry, notes))
+}
+
+/// What a file has that no other format takes, in words.
+fn beyond_faces(header: &PlyHeader) -> Vec<String> {
+    let others = header.elements.iter().filter(|e| e.rows > 0);
+    let others = others.filter(|e| !matches!(e.name.as_str(), "vertex" | "face" | "tristrips"));
+    others
+        .map(|e| match (e.name.as_str(), e.rows) {
+            ("edge", 1) => "1 edge".into(),
+            ("edge", rows) => format!("{rows} edges"),
+            (name, rows) => format!("{rows} rows of `{name}`"),
+        })
+        .collect()
 }
 
 fn single_element<'a>(header: &'a PlyHeader, name: &str) -> Result<&'a PlyElement, Error> {
@@ -188,6 +204,13 @@ fn read_faces(
     Ok(())
 }
 
+/// The properties of edges that name their two vertices; `None` for edges with lists or without those.
+pub(super) fn edge_ends(element: &PlyElement) -> Option<[usize; 2]> {
+    let is_plain = element.properties.iter().all(|p| p.count.is_none());
+    let end = |name: &str| element.scalar_property(name).filter(|_| is_plain);
+    Some([end("vertex1")?, end("vertex2")?])
+}
+
 /// The property of faces or strips that lists their vertices.
 pub(super) fn index_list(element: &PlyElement) -> Option<usize> {
     let mut properties = element.properties.iter();
@@ -275,6 +298,8 @@ pub(super) struct PlyTable<'a> {
     pub place_of: Vec<u32>,
     /// How many corners each row has.
     pub corners_of: Vec<u32>,
+    /// The rows of the first element of edges, where they name two vertices and have no lists.
+    pub edges: Vec<Vec<f64>>,
     /// The bytes of elements that are neither vertices, faces, strips nor edges.
     pub others: BTreeMap<usize, &'a [u8]>,
 }
@@ -291,6 +316,7 @@ pub(super) fn read_table<'a>(bytes: &'a [u8], positions: &[DVec3]) -> Result<Ply
         faces: Vec::new(),
         face_lists: BTreeMap::new(),
         row_of: Vec::new(),
+        edges: Vec::new(),
         place_of: Vec::new(),
         corners_of: Vec::new(),
         others: BTreeMap::new(),
@@ -314,6 +340,12 @@ pub(super) fn read_table<'a>(bytes: &'a [u8], positions: &[DVec3]) -> Result<Ply
                 table.vertex_lists = lists;
             }
             "face" | "tristrips" => table.read_faces(&mut body, element, &mut faces, &mut rows)?,
+            "edge" if table.edges.is_empty() && edge_ends(element).is_some() => {
+                for _ in 0..element.rows {
+                    let row = read_row(&mut body, element, &mut BTreeMap::new(), None)?;
+                    table.edges.push(row);
+                }
+            }
             "edge" => body.skip_rows(element)?,
             _ => {
                 let start = body.next_place().0;

@@ -7,7 +7,9 @@
 #[cfg(test)]
 mod tests;
 
-use super::text::{NumberPrecision, TextLexer, TextPatch, TextStyle, TextToken, newline_of, push_triple, shown};
+use super::text::{
+    NumberPrecision, TextLexer, TextPatch, TextStyle, TextToken, newline_of, push_triple, shown, without_mark,
+};
 use crate::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile};
 use crate::edited::{BaseModel, EditedModel, TriangleOrigins};
 use crate::files::{ReadWatch, check_main_size};
@@ -101,8 +103,12 @@ impl FileNotes for StlNotes {}
 
 fn recognise(bytes: &[u8]) -> Recognition {
     // A binary file says nothing but its triangle count, which must fit the length exactly.
-    Recognition::mark(is_as_long_as_binary(bytes))
-        .max(Recognition::words(bytes.trim_ascii_start().starts_with(b"solid")))
+    Recognition::mark(is_as_long_as_binary(bytes)).max(Recognition::words(begins_a_solid(bytes)))
+}
+
+fn begins_a_solid(bytes: &[u8]) -> bool {
+    let word = without_mark(bytes).trim_ascii_start().get(..5);
+    word.is_some_and(|word| word.eq_ignore_ascii_case(b"solid"))
 }
 
 /// How long a binary file of so many facets is.
@@ -122,15 +128,11 @@ const STYLE: TextStyle = TextStyle {
 /// Reads an STL file.
 fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, StlNotes), Error> {
     check_main_size(bytes)?;
-    let text = bytes
-        .trim_ascii_start()
-        .get(..5)
-        .is_some_and(|word| word.eq_ignore_ascii_case(b"solid"));
     let declared = declared_facets(bytes);
     // Some programs begin binary files with the word `solid` too; the length identifies them.
-    let binary = is_as_long_as_binary(bytes) || !text;
+    let binary = is_as_long_as_binary(bytes) || !begins_a_solid(bytes);
     let mut positions = Vec::new();
-    let mut extra = 0;
+    let (mut extra, mut colours) = (0, 0);
     if binary {
         let count = declared.ok_or_else(|| {
             Error::malformed(
@@ -168,6 +170,7 @@ fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, StlNotes), Err
             watch.check_vertices(positions.len() as u64)?;
             watch.check_at(positions.len() / 3)?;
         }
+        colours = facets.colours;
     }
     let triangles = (0..positions.len() as u32 / 3)
         .map(|i| [3 * i, 3 * i + 1, 3 * i + 2])
@@ -180,6 +183,10 @@ fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, StlNotes), Err
             format!("{extra} bytes after the last facet are kept as they are"),
             place,
         );
+    }
+    if colours > 0 {
+        let message = format!("{colours} lines `color` are not read; they stay in the text until an edit rewrites it");
+        geometry.warn("colours-skipped", message, "");
     }
     Ok((geometry, StlNotes { binary }))
 }
@@ -215,6 +222,8 @@ struct FacetReader<'a> {
     lexer: TextLexer<'a>,
     /// Names of the solids so far, empty where one has none.
     solids: Vec<&'a [u8]>,
+    /// How many lines gave a colour.
+    colours: usize,
 }
 
 /// The words of a facet's normal (absent where the file leaves them out) and of its corners.
@@ -225,11 +234,24 @@ impl<'a> FacetReader<'a> {
         Self {
             lexer: TextLexer::new(bytes, STYLE),
             solids: Vec::new(),
+            colours: 0,
+        }
+    }
+
+    /// The next word that is not of a line that gives a colour, as some programs write them between and in facets.
+    fn word(&mut self) -> Option<TextToken> {
+        loop {
+            let token = self.lexer.token()?;
+            if !self.lexer.text(token).eq_ignore_ascii_case(b"color") {
+                return Some(token);
+            }
+            self.colours += 1;
+            self.lexer.end_line();
         }
     }
 
     fn next(&mut self) -> Result<Option<FacetWords>, Error> {
-        while let Some(token) = self.lexer.token() {
+        while let Some(token) = self.word() {
             let word = self.lexer.text(token);
             if word.eq_ignore_ascii_case(b"solid") {
                 let name = self.lexer.rest_of_line();
@@ -241,8 +263,8 @@ impl<'a> FacetReader<'a> {
                 self.expect_word(b"outer")?;
                 self.expect_word(b"loop")?;
                 let corners = [self.read_vertex()?, self.read_vertex()?, self.read_vertex()?];
-                self.expect_word(b"endloop")?;
-                self.expect_word(b"endfacet")?;
+                self.expect_end(b"endloop", b"loop")?;
+                self.expect_end(b"endfacet", b"facet")?;
                 return Ok(Some((normal, corners)));
             } else {
                 let problem = format!("{} where `facet` or `endsolid` is needed", shown(word));
@@ -266,9 +288,21 @@ impl<'a> FacetReader<'a> {
         words.ok_or_else(|| malformed(self.lexer.line(), "the file ends inside a vertex"))
     }
 
+    /// One word, or `end` and the other.
+    fn expect_end(&mut self, one: &[u8], other: &[u8]) -> Result<(), Error> {
+        let mut ahead = self.lexer.clone();
+        match ahead.token().map(|token| ahead.text(token)) {
+            Some(word) if word.eq_ignore_ascii_case(b"end") => {
+                self.lexer = ahead;
+                self.expect_word(other)
+            }
+            _ => self.expect_word(one),
+        }
+    }
+
     fn expect_word(&mut self, keyword: &[u8]) -> Result<(), Error> {
         let needed = String::from_utf8_lossy(keyword);
-        let Some(token) = self.lexer.token() else {
+        let Some(token) = self.word() else {
             return Err(malformed(
                 self.lexer.line(),
                 format!("the file ends where `{needed}` is needed"),

@@ -131,3 +131,29 @@ fn a_fresh_file_has_a_facet_for_each_triangle() {
         Err(Error::Unwritable { .. })
     ));
 }
+
+#[test]
+fn words_of_other_programs_are_read() {
+    let others = TEXT
+        .replace("endloop", "end loop")
+        .replace("endfacet", "END FACET")
+        .replace("facet normal", "color 0.5 0.5 0.5\nfacet normal")
+        .replace("outer loop\nvertex", "color 1 0 0\nouter loop\ncolor 0 0 1\nvertex");
+    let model = read_bytes(format!("\u{feff}{others}")).unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!(model.positions, read_bytes(TEXT).expect("valid").positions);
+    let codes: Vec<&str> = model.warnings.iter().map(|w| w.0.as_str()).collect();
+    assert_eq!(codes, ["colours-skipped"]);
+    assert!(model.warnings[0].1.starts_with("3 lines"), "{:?}", model.warnings);
+    let moved: Vec<DVec3> = model.positions.iter().map(|p| *p + DVec3::Z).collect();
+    let out = String::from_utf8(model.write(&moved, FORMAT).expect("writable").main).expect("text");
+    assert_eq!(out.matches("color").count(), 3, "{out}");
+    assert_eq!(read_bytes(out).expect("valid").positions, moved);
+
+    let comma = TEXT.replace("1e0", "1,0");
+    assert_refused(
+        read_bytes(comma.clone()),
+        "line 6",
+        "`1,0` has a decimal comma",
+        comma.as_bytes(),
+    );
+}

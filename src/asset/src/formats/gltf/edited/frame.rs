@@ -8,6 +8,7 @@
 
 use super::super::accessors::ComponentType;
 use super::super::document::GltfDocument;
+use super::super::extensions::{MANIFOLD, NGONS};
 use super::super::read::GltfNotes;
 use super::super::references::{IN_ACCESSOR, IN_ANIMATION, IN_IMAGE, IN_MESH, IN_NODE, IN_SKIN};
 use super::super::schema::{DRACO, GltfMesh, MESHOPT};
@@ -41,9 +42,6 @@ enum MeshVersion {
 /// Bytes of JSON that meshes may take: a mesh is described once in a file, but may be placed any number of times.
 const MOST_COPIED: usize = 512 << 20;
 
-/// Primitive extensions that speak of the stored triangles, and are wrong for others.
-const OF_STORED_TRIANGLES: [&str; 2] = [DRACO, "FB_ngon_encoding"];
-
 /// Remakes the meshes. `runs` are those of the first base.
 pub(super) fn remake_meshes<'a>(
     maker: &mut PrimitiveMaker<'a, '_>,
@@ -52,7 +50,7 @@ pub(super) fn remake_meshes<'a>(
 ) -> Result<EditedMeshes, Error> {
     let doc = maker.doc;
     let mut runs_of: BTreeMap<usize, Vec<&PrimitiveRun>> = BTreeMap::new();
-    for run in runs.iter().filter(|run| run.triangle_count > 0) {
+    for run in runs.iter().filter(|run| maker.edited.is_drawn(run)) {
         runs_of.entry(run.primitive as usize).or_default().push(run);
     }
     let mut rows_of: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
@@ -113,7 +111,7 @@ fn version_of_mesh<'a>(
     let text = maker.doc.item(&maker.doc.meshes, mesh);
     let stored = list_of(text, "primitives");
     let mut primitives = Vec::with_capacity(stored.len());
-    let mut as_stored = true;
+    let (mut as_stored, mut has_other_triangles) = (true, false);
     for (p, &old) in stored.iter().enumerate() {
         let Some(&row) = rows.iter().find(|&&row| notes.rows[row].primitive == p) else {
             primitives.push(old.to_owned());
@@ -121,13 +119,15 @@ fn version_of_mesh<'a>(
         };
         let runs = runs_of.get(&row).map_or(&[][..], Vec::as_slice);
         as_stored &= runs.len() == 1;
+        has_other_triangles |= runs.len() != 1;
         for &run in runs {
             let row = &notes.rows[row];
             match maker.make_primitive(run, row, MeshSpace::OfRow)? {
                 None => primitives.push(old.to_owned()),
                 Some(made) => {
                     as_stored = false;
-                    let mut text = primitive_text(old, &made);
+                    has_other_triangles |= made.indices.is_some();
+                    let mut text = primitive_text(maker, run, old, made)?;
                     if let Some(cap) = maker.edited.cap_number(run) {
                         let stored = list_of(maker.doc.text, "materials").len();
                         text = without_extensions(&text, &["KHR_materials_variants"]);
@@ -143,17 +143,28 @@ fn version_of_mesh<'a>(
     } else if primitives.is_empty() {
         MeshVersion::Gone
     } else {
-        MeshVersion::Text(with_member(text, "primitives", json_array(&primitives)))
+        let text = match has_other_triangles {
+            true => maker.without_extension(text, MANIFOLD),
+            false => text.to_owned(),
+        };
+        MeshVersion::Text(with_member(&text, "primitives", json_array(&primitives)))
     })
 }
 
 /// A stored primitive with other accessors.
-fn primitive_text(stored: &str, made: &MadePrimitive) -> String {
+fn primitive_text(
+    maker: &mut PrimitiveMaker<'_, '_>,
+    run: &PrimitiveRun,
+    stored: &str,
+    mut made: MadePrimitive,
+) -> Result<String, Error> {
     let mut text = without_extensions(stored, &[DRACO]);
     if let Some(indices) = made.indices {
-        text = without_extensions(&text, &OF_STORED_TRIANGLES);
+        text = maker.without_extension(&text, NGONS);
+        text = maker.with_outline(run, &text)?;
+        text = maker.with_feature_numbers(run, &text, &mut made.attributes);
         text = with_member(&text, "indices", indices);
-        if value_of(&text, "mode").is_some() {
+        if value_of(&text, "mode").is_some() && made.mode.is_none() {
             text = with_member(&text, "mode", "4");
         }
     }
@@ -161,7 +172,7 @@ fn primitive_text(stored: &str, made: &MadePrimitive) -> String {
         let targets = made.targets.iter().map(json_object);
         text = with_member(&text, "targets", json_array(targets));
     }
-    with_member(&text, "attributes", json_object(&made.attributes))
+    Ok(with_member(&text, "attributes", json_object(&made.attributes)))
 }
 
 impl EditedMeshes {

@@ -35,7 +35,8 @@ pub(super) fn join_bases(
     let mut joined = JoinedBases::of_caps(output.edited);
     let EditedOutput { edited, positions, .. } = *output;
     for (i, base) in edited.bases.iter().enumerate().skip(1) {
-        let own: Vec<&PrimitiveRun> = edited.runs_with_triangles(i as u32).collect();
+        let of_base = edited.runs.iter().filter(|run| run.base as usize == i);
+        let own: Vec<&PrimitiveRun> = of_base.filter(|run| edited.is_drawn(run)).collect();
         if own.is_empty() {
             continue;
         }
@@ -87,13 +88,7 @@ impl<'a> BaseJoiner<'_, 'a> {
             runs_of.entry((row.node, row.primitive)).or_default().push(run);
         }
         let grown = self.has_grown(base) && !notes.rows.iter().any(|row| has_targets(&doc, row.node, row.primitive));
-        let node_for = |transform: &DAffine3| {
-            if grown {
-                None
-            } else {
-                NodeTransform::from_affine(transform)
-            }
-        };
+        let node_for = |transform: &DAffine3| Some(transform).filter(|_| !grown).and_then(NodeTransform::from_affine);
         let placed = node_for(&placing);
         let root = self.add_root(&name_of(&model.files, base), placed.as_ref());
         let world_from_root = placed.as_ref().map_or(DAffine3::IDENTITY, |p| p.transform);
@@ -122,6 +117,7 @@ impl<'a> BaseJoiner<'_, 'a> {
                         is_frame: false,
                         turns: self.turns,
                         tally: &mut *self.tally,
+                        dropped: Default::default(),
                     };
                     let row = &notes.rows[run.primitive as usize];
                     let space = MeshSpace::OfNode(world_from_root * root_from_mesh);
@@ -200,6 +196,7 @@ impl<'a> BaseJoiner<'_, 'a> {
                 attributes: AccessorNumbers::new(),
                 targets: Vec::new(),
                 indices: None,
+                mode: None,
             };
             let mut add = |name: &str, at: usize| {
                 made.attributes.insert(name.into(), at);
@@ -271,6 +268,7 @@ impl<'a> BaseJoiner<'_, 'a> {
 fn primitive_text(made: &MadePrimitive, material: Option<usize>, with_targets: bool) -> String {
     let mut members = vec![("attributes", json_object(&made.attributes))];
     members.extend(made.indices.map(|at| ("indices", at.to_string())));
+    members.extend(made.mode.map(|mode| ("mode", mode.to_string())));
     if with_targets && !made.targets.is_empty() {
         members.push(("targets", json_array(made.targets.iter().map(json_object))));
     }

@@ -3,6 +3,7 @@
 use super::super::buffers::{self, RelativeName, file_extension};
 use super::super::builder::BufferBuilder;
 use super::super::document::GltfDocument;
+use super::super::looks::placing_of;
 use super::super::read::GltfNotes;
 use super::super::text::{index_of, list_of, quoted, with_member, without_keys};
 use super::blended::{AttributeBlender, read};
@@ -124,8 +125,10 @@ fn read_look(material: &Value, textures: &[Value], pictures: &mut ImageNames<'_,
         Some(_) => set_of(texture),
         None => set_of(normals),
     };
+    look.placing = placing_of(if look.picture.is_some() { texture } else { normals });
     // Other formats have one set of texture coordinates for both.
-    let shared = source_of(normals, textures).filter(|_| set_of(normals) == set);
+    let is_shared = set_of(normals) == set && placing_of(normals) == look.placing;
+    let shared = source_of(normals, textures).filter(|_| is_shared);
     look.normals = shared.and_then(|image| pictures.picture_of(image));
     let says_something = look != BaseLook::default();
     (says_something.then_some(look), usize::try_from(set).unwrap_or(0))

@@ -8,6 +8,7 @@ mod blended;
 mod frame;
 mod joined;
 mod looks;
+mod named;
 mod primitives;
 
 pub(super) use blended::distinguish_vertices;
@@ -17,6 +18,7 @@ use super::buffers;
 use super::builder::BufferBuilder;
 use super::container::GltfFault;
 use super::document::{GLB_FORMAT, GltfDocument};
+use super::extensions::{doubtful_extensions, dropped_extensions};
 use super::package::package;
 use super::patched::PatchedDocument;
 use super::read::GltfNotes;
@@ -33,6 +35,7 @@ use blended::EditedTurns;
 use frame::{EditedMeshes, KeptData};
 use looks::JoinedBases;
 use primitives::PrimitiveMaker;
+use std::collections::BTreeSet;
 
 /// Writes an edited model of which the first base is a glTF. The description has been checked.
 pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
@@ -60,18 +63,23 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         is_frame: true,
         turns: &turns,
         tally: &mut tally,
+        dropped: BTreeSet::new(),
     };
     let frame = frame::remake_meshes(&mut maker, notes, &own)?;
     let joined = joined::join_bases(&mut maker, notes.files(model), &frame, output)?;
+    let dropped: Vec<&'static str> = std::mem::take(&mut maker.dropped).into_iter().collect();
     let writer = EditedGltfWriter {
         doc: &doc,
         files: notes.files(model),
         frame,
         fresh,
         joined,
+        dropped,
         fault,
     };
-    let written = writer.write(KeptData::of(&doc, &writer.frame))?;
+    let mut written = writer.write(KeptData::of(&doc, &writer.frame))?;
+    written.warnings.extend(dropped_extensions(&writer.dropped));
+    written.warnings.extend(doubtful_extensions(&doc, true));
     let clips = writer.frame.animations.iter().flatten().map(String::as_str);
     super::rig::rewrite::finish(tree.as_ref(), written, output.format, &doc, clips, &tally)
 }
@@ -82,6 +90,8 @@ struct EditedGltfWriter<'a> {
     frame: EditedMeshes,
     fresh: BufferBuilder,
     joined: JoinedBases,
+    /// Extensions that were left out somewhere.
+    dropped: Vec<&'static str>,
     fault: GltfFault,
 }
 
@@ -137,7 +147,7 @@ impl EditedGltfWriter<'_> {
         images.extend(self.joined.item_texts("images", kept.views.len()));
         sections.set_list("images", &images);
         self.joined_sections(&mut sections);
-        self.set_extensions(&mut sections, is_packed);
+        self.set_extensions(&mut sections, is_packed, &meshes);
 
         let target = doc.growing_buffer().filter(|_| !is_packed);
         let buffer = target.unwrap_or(if is_packed { 0 } else { doc.buffers.len() });
@@ -217,11 +227,13 @@ impl EditedGltfWriter<'_> {
     }
 
     /// The lists of extensions with those of the joined bases, and without those that packed data does not need.
-    fn set_extensions(&self, sections: &mut JsonSections, is_packed: bool) {
+    fn set_extensions(&self, sections: &mut JsonSections, is_packed: bool, meshes: &[String]) {
         let mut unneeded = Vec::new();
         if is_packed {
             unneeded = frame::unneeded_extensions(self.doc, &self.frame.meshes);
         }
+        let is_gone = |name: &&&str| !meshes.iter().any(|text| text.contains(&quoted(name)));
+        unneeded.extend(self.dropped.iter().filter(is_gone));
         let (doc, joined) = (self.doc, &self.joined);
         for (key, stored, more) in [
             ("extensionsUsed", &doc.extensions_used, &joined.extensions_used),

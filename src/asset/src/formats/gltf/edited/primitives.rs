@@ -17,6 +17,7 @@ use crate::codec::EditedOutput;
 use crate::edited::{CarriedAttributes, EditedModel, PrimitiveRun, VertexBlend};
 use crate::model::position_bits;
 use glam::{DAffine3, DVec3, Vec3, Vec4};
+use std::collections::BTreeSet;
 
 /// A primitive's accessors by attribute, of itself and of each morph target, and its indices.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -25,6 +26,8 @@ pub(super) struct MadePrimitive {
     pub(super) targets: Vec<AccessorNumbers>,
     /// `None` where the stored ones stay, with the stored mode.
     pub(super) indices: Option<usize>,
+    /// What is drawn, where that is points or lines.
+    pub(super) mode: Option<u64>,
 }
 
 /// Where the mesh of a made primitive is drawn.
@@ -48,6 +51,8 @@ pub(super) struct PrimitiveMaker<'a, 'f> {
     /// How the surface turned around the vertices of the edited model, for morph targets.
     pub(super) turns: &'a EditedTurns<'a>,
     pub(super) tally: &'a mut TargetTally,
+    /// Extensions that were left out of primitives and meshes, because what they name is gone.
+    pub(super) dropped: BTreeSet<&'static str>,
 }
 
 impl<'a> PrimitiveMaker<'a, '_> {
@@ -75,6 +80,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
                 return Ok(None);
             }
         }
+        let mode = Some(primitive.mode()).filter(|mode| *mode < 4);
         let carried = CarriedAttributes::new(self.edited, run, self.positions);
         let mixer = AttributeBlender::new(self.edited, run);
         // A merged model leaves its skeleton behind.
@@ -124,12 +130,16 @@ impl<'a> PrimitiveMaker<'a, '_> {
                 // Read as it is drawn, written as it is stored: turned round.
                 triangles.iter_mut().for_each(|t| t.swap(1, 2));
             }
-            Some(self.fresh.add_indices(&triangles, run.vertex_count as usize))
+            Some(match mode {
+                Some(_) => self.followed_elements(run, row, primitive)?,
+                None => self.fresh.add_indices(&triangles, run.vertex_count as usize),
+            })
         };
         Ok(Some(MadePrimitive {
             attributes,
             targets,
             indices,
+            mode,
         }))
     }
 
