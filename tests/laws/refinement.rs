@@ -6,7 +6,7 @@ use crate::support::messages::DeformerMessages;
 use bench::*;
 use glam::{DMat3, DQuat, DVec3};
 use pliant::asset::shapes;
-use pliant::engine::{Deformer, HandlePoses, ModelShape, SolveMode, SolveSettings, digest};
+use pliant::engine::{Deformer, HandlePoses, ModelShape, Recipe, SolveMode, SolveSettings, digest};
 use pliant::exec::Exec;
 use pliant::progress::Silent;
 use pliant::wire::{DeformOptions, pb};
@@ -155,20 +155,24 @@ fn fits_that_nobody_asked_for_add_no_folds_and_no_crossings() {
         let (watched, again) = (commit(default).0, commit(default).0);
         assert_eq!(digest(&watched), digest(&again));
         let as_they_come = commit(SolveSettings {
-            unbuckles: false,
+            recipe: Recipe::AsTheyCome,
             ..default
         });
-        let mut asked = default;
+        let mut asked = SolveSettings {
+            recipe: Recipe::Unbuckled,
+            ..default
+        };
         asked.quality.refine = Some(4);
         assert_eq!(
             digest(&commit(asked).0),
             digest(&as_they_come.0),
             "fits that are asked for stay as they are"
         );
+        asked.recipe = default.recipe;
+        let fitted = commit(asked).0;
         asked.quality.refine = Some(0);
         let plain = commit(asked).0;
-        let [watched, fitted, plain] =
-            [watched, as_they_come.0, plain].map(|now| folds_and_crossings(&bench, &shape, &now));
+        let [watched, fitted, plain] = [watched, fitted, plain].map(|now| folds_and_crossings(&bench, &shape, &now));
         println!("{free}: fitted {fitted:?}, without fits {plain:?}, by default {watched:?}");
         assert!(watched.0 <= plain.0.max(fitted.0) && watched.1 <= plain.1.max(fitted.1));
         let cost = |(folds, crossings): (usize, u32)| 4 * folds as u32 + crossings;

@@ -41,7 +41,7 @@ fn unusual_settings() -> SolveSettings {
         },
         method: Method::Diffusion,
         fits: FitOrder::GraphAlone,
-        unbuckles: false,
+        recipe: Recipe::AsTheyCome,
     }
 }
 
