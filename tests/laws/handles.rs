@@ -220,7 +220,7 @@ fn a_hard_handle_fades_inwards_and_shares_the_bend() {
     match run(9.0, pb::falloff::Kind::Smooth) {
         Err(Error::Invalid { field, problem }) => {
             assert_eq!(field, "handles[1].falloff.radius");
-            assert!(problem.contains("is 9,") && problem.contains("below 1.7"), "{problem}");
+            assert!(problem.contains("is 9,") && problem.contains("below 1.8"), "{problem}");
         }
         other => panic!("{other:?}"),
     }
