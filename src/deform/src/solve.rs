@@ -2,13 +2,13 @@
 //! equations 8 and 11).
 
 use crate::body::DeformableBody;
+use crate::border_frames::BorderFrames;
 use crate::error::Error;
 use crate::first_pass::blend::LocalRotation;
 use crate::first_pass::spread::{FirstRotations, blend_frames_with};
 use crate::handles::system::{ConstrainedSystem, HandleSystem};
 use crate::pose::{FitOrder, PoseRequest, PoseStats, SolveStart, SolveUpdate, SolvedNodes};
 use crate::rotation::Transform;
-use crate::second_pass::borders::BorderFrames;
 use crate::second_pass::equations::{PosedHandles, Precision};
 use crate::second_pass::refine::RotationFit;
 use crate::second_pass::single_precision::frames_of;

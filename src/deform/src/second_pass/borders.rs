@@ -6,15 +6,15 @@
 //! of it on the edge itself, less from ring to ring. Where the band is thin against what is free, the solution then has next to no strain
 //! at the edge (its gradient there is the handle's rotation) and little more elsewhere. What is held does not move.
 
+use crate::border_frames::{BorderFrames, linear};
 use crate::error::Error;
-use crate::first_pass::blend::LocalFrame;
 use crate::handles::ownership::UNHELD;
 use crate::pose::FitOrder;
 use crate::second_pass::equations::PosedHandles;
 use crate::second_pass::refine::RotationFit;
 use crate::second_pass::state::SolveState;
 use crate::solve::{PoseSolve, SolveTally};
-use glam::{DMat3, DVec3, Mat3};
+use glam::{DMat3, DVec3};
 use pliant_exec::progress::check;
 use pliant_solver::{InitialGuess, SolveStats};
 
@@ -26,38 +26,6 @@ const UNSEEN: f64 = 0.02;
 const LEAST: f64 = 1e-3;
 /// A ring that is not counted.
 const BEYOND: u8 = u8::MAX;
-
-/// By node what its frame is multiplied with from the right, for nodes at the edges of hard handles alone.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct BorderFrames(Vec<(u32, DMat3)>);
-
-impl BorderFrames {
-    /// Whether nothing is corrected.
-    pub fn is_empty(&self) -> bool {
-        self.0.is_empty()
-    }
-
-    /// Corrects frames; returns those that they replace, in the order of nodes here.
-    pub fn put_into(&self, frames: &mut [LocalFrame]) -> Vec<LocalFrame> {
-        let put = |&(node, by): &(u32, DMat3)| {
-            let frame = &mut frames[node as usize];
-            let corrected = (linear(frame) * by).as_mat3().to_cols_array();
-            std::mem::replace(frame, corrected)
-        };
-        self.0.iter().map(put).collect()
-    }
-
-    /// Takes corrections back.
-    pub fn take_back(&self, before: Vec<LocalFrame>, frames: &mut [LocalFrame]) {
-        let nodes = self.0.iter().zip(before);
-        nodes.for_each(|(&(node, _), frame)| frames[node as usize] = frame);
-    }
-
-    /// Bytes held on the heap.
-    pub fn byte_size(&self) -> usize {
-        self.0.capacity() * size_of::<(u32, DMat3)>()
-    }
-}
 
 impl PoseSolve<'_> {
     /// Whether borders are made smooth: where that is asked for and rotations are fitted to a pose of its own. Stiff parts are
@@ -98,7 +66,7 @@ impl PoseSolve<'_> {
         if finite.clone().all(|(.., largest)| *largest < LEAST) {
             return Ok(None);
         }
-        state.borders = BorderFrames(finite.map(|&(node, by, _)| (node, by)).collect());
+        state.borders = BorderFrames::new(finite.map(|&(node, by, _)| (node, by)).collect());
         self.assemble(posed, state);
         let start = InitialGuess::Given;
         self.run(&self.handles.positions, start, 0.0, state, tally).map(Some)
@@ -154,10 +122,6 @@ impl PoseSolve<'_> {
         let map = (now + *frame * unseen) * (rest + DMat3::from_diagonal(DVec3::splat(unseen))).inverse();
         frame.inverse() * map - DMat3::IDENTITY
     }
-}
-
-fn linear(frame: &LocalFrame) -> DMat3 {
-    Mat3::from_cols_array(frame).as_dmat3()
 }
 
 fn largest_entry(map: &DMat3) -> f64 {

@@ -3,11 +3,11 @@
 //! A drag keeps its last solution in the order of the solver's rows, with what finds a node in it.
 
 use crate::body::DeformableBody;
+use crate::border_frames::BorderFrames;
 use crate::first_pass::blend::{LocalFrame, LocalRotation};
 use crate::handles::ownership::UNHELD;
 use crate::handles::system::HandleSystem;
 use crate::rotation::Transform;
-use crate::second_pass::borders::BorderFrames;
 use crate::second_pass::turn_steps::TurnSteps;
 use crate::volume_scales::VolumeScales;
 use glam::DVec3;
