@@ -31,7 +31,7 @@ fn options() -> Value {
         ],
         "rigid": [false, true],
         "stiffness": [null, 0.05, 20],
-        "falloff": [null, {"radius": 0.7, "kind": "LINEAR"}, {"radius": 0.7, "kind": "SMOOTH"}],
+        "falloff": [null, {"radius": 0.4, "kind": "LINEAR"}, {"radius": 0.4, "kind": "SMOOTH"}],
         "region": [
             {"halfSpace": {"normal": [0, 0, 1], "offset": 3.5}},
             {"sphere": {"center": [0.5, 0.5, 4], "radius": 0.9}},
@@ -91,8 +91,8 @@ fn pairs(sizes: &[usize]) -> Vec<Vec<usize>> {
 /// Why handles like these are refused; `None` when they must be solved.
 fn reason_to_refuse(value: &dyn Fn(&str) -> Value) -> Option<&'static str> {
     let is_given = |name: &str| !value(name).is_null();
-    if is_given("falloff") && !is_given("stiffness") {
-        return Some("stiffness");
+    if is_given("falloff") && !is_given("stiffness") && value("rigid") == true {
+        return Some("rigid");
     }
     let constrains = value("constrains");
     let has_position = constrains == json!([]) || constrains[0] == "POSITION";

@@ -169,6 +169,64 @@ fn a_falloff_pulls_its_surroundings_and_fades() {
 }
 
 #[test]
+fn a_hard_handle_fades_inwards_and_shares_the_bend() {
+    let shape = shapes::cylinder(0.5, 4.0, 24, 64, true);
+    let bend = [("top", turn(DVec3::X * 1.4, DVec3::Z * 2.0))];
+    let run = |radius: f64, kind: pb::falloff::Kind| {
+        let mut bench = bench(&shape);
+        let falloff = Some(pb::Falloff {
+            radius,
+            kind: kind as i32,
+        });
+        let top = pb::Handle {
+            falloff,
+            ..handle("top", above(2.24))
+        };
+        try_set(&mut bench, vec![handle("base", below(1.76)), top]).map(|()| solve(&mut bench, &bend, 1e-7).positions)
+    };
+    let hard = run(0.0, pb::falloff::Kind::None).expect("no falloff");
+    for kind in [pb::falloff::Kind::Linear, pb::falloff::Kind::Smooth] {
+        let faded = run(0.5, kind).expect("a falloff");
+        let off = |k: usize| faded[k].distance(hard[k]);
+        // Edges of the cylinder are shorter than 0.14, so that the core begins below this height at the latest.
+        let (core, band): (Vec<usize>, Vec<usize>) = (0..shape.0.len())
+            .filter(|&k| shape.0[k].z > 2.24)
+            .partition(|&k| shape.0[k].z > 2.9);
+        let moved = band.iter().map(|&k| off(k)).fold(0.0, f64::max);
+        assert!(core.iter().all(|&k| off(k) < 1e-6), "the core stays hard");
+        assert!(moved > 0.01, "the band gives way, by {moved}");
+        // From the border inwards it gives way less and less.
+        let mean_off = |from: f64| {
+            let some = band.iter().filter(|&&k| (from..from + 0.125).contains(&shape.0[k].z));
+            some.clone().map(|&k| off(k)).sum::<f64>() / some.count() as f64
+        };
+        assert!(
+            mean_off(2.25) > 2.0 * mean_off(2.5),
+            "{} {}",
+            mean_off(2.25),
+            mean_off(2.5)
+        );
+        let longest = |at: &[DVec3]| {
+            let stretch = |a: u32, b: u32| {
+                let length = |p: &[DVec3]| p[a as usize].distance(p[b as usize]);
+                length(at) / length(&shape.0)
+            };
+            let edges = shape.1.iter().flat_map(|t| [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])]);
+            edges.map(|(a, b)| stretch(a, b)).fold(0.0, f64::max)
+        };
+        let (before, after) = (longest(&hard), longest(&faded));
+        assert!(after < 0.9 * before, "the longest edge was {before}, is {after}");
+    }
+    match run(9.0, pb::falloff::Kind::Smooth) {
+        Err(Error::Invalid { field, problem }) => {
+            assert_eq!(field, "handles[1].falloff.radius");
+            assert!(problem.contains("is 9,") && problem.contains("below 1.8"), "{problem}");
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
 fn a_rigid_region_keeps_its_shape_when_others_move_it() {
     let mut bench = bench(&bar());
     let mut handles = ends();
@@ -392,6 +450,11 @@ fn requests_that_make_no_sense_are_refused_with_their_place_and_change_nothing()
         falloff: Some(pb::Falloff { radius: 1.0, kind: 1 }),
         ..handle("a", below(0.5))
     };
+    let stiff_and_fading = pb::Handle {
+        rigid: true,
+        falloff: Some(pb::Falloff { radius: 0.3, kind: 1 }),
+        ..handle("a", below(0.5))
+    };
     for (handles, place) in [
         (vec![handle("", below(0.0))], "handles[0].id"),
         (vec![handle("a", below(0.5)), handle("a", above(3.0))], "handles[1].id"),
@@ -413,7 +476,8 @@ fn requests_that_make_no_sense_are_refused_with_their_place_and_change_nothing()
             vec![handle("a", vertices(vec![], vec![wide]))],
             "handles[0].region.vertices.ranges[0]",
         ),
-        (vec![fading], "handles[0].falloff"),
+        (vec![fading], "handles[0].falloff.radius"),
+        (vec![stiff_and_fading], "handles[0].falloff"),
     ] {
         match try_set(&mut bench, handles) {
             Err(Error::Invalid { field, problem }) => assert_eq!(field, place, "{problem}"),

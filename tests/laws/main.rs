@@ -1,5 +1,6 @@
 //! Laws of meshes, graphs and deformation, on generated shapes and on models of the data folder.
 
+mod borders;
 mod drag;
 mod engine_examples;
 mod equivariance;

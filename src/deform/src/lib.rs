@@ -61,6 +61,7 @@
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
 mod body;
+mod border_frames;
 mod error;
 mod fields;
 mod first_pass;

@@ -111,6 +111,8 @@ pub struct PoseRequest<'a> {
     pub fits: FitOrder,
     /// Which nodes the solution has.
     pub extent: SolutionExtent,
+    /// Whether what is free leaves hard handles in their direction, where rotations are fitted.
+    pub smooth_borders: bool,
 }
 
 impl<'a> PoseRequest<'a> {
@@ -123,6 +125,7 @@ impl<'a> PoseRequest<'a> {
             first_pass: FirstPass::Harmonic,
             fits: FitOrder::default(),
             extent: SolutionExtent::default(),
+            smooth_borders: false,
         }
     }
 

@@ -2,6 +2,7 @@
 //! equations 8 and 11).
 
 use crate::body::DeformableBody;
+use crate::border_frames::BorderFrames;
 use crate::error::Error;
 use crate::first_pass::blend::LocalRotation;
 use crate::first_pass::spread::{FirstRotations, blend_frames_with};
@@ -122,6 +123,9 @@ impl PoseSolve<'_> {
     ) -> Result<SolvedNodes, Error> {
         let (handles, body, request, pool) = (self.handles, self.body, self.request, self.exec.pool);
         let warm = request.start == SolveStart::Warm;
+        if self.smooths_borders() {
+            state.borders = BorderFrames::default();
+        }
         if warm {
             state.begin(body, request.transforms.len());
             let (from, to) = (&state.transforms, request.transforms);
@@ -155,6 +159,9 @@ impl PoseSolve<'_> {
         };
         if let Some(fit) = &fit {
             state.volume = VolumeScales::default();
+            if self.smooths_borders() {
+                stats = self.smooth_borders(fit, posed, state, &mut tally)?.unwrap_or(stats);
+            }
             if self.keeps_volume() {
                 stats = self.keep_volume(fit, posed, state, &mut tally)?.unwrap_or(stats);
             }
@@ -270,12 +277,17 @@ impl PoseSolve<'_> {
         }
     }
 
-    /// Fills the right-hand side for `posed`.
-    pub(crate) fn assemble(&self, posed: &PosedHandles, state: &mut SolveState) {
+    /// Fills the right-hand side for `posed`, of a pose that is fitted with the corrections at borders that were found for it.
+    pub(crate) fn assemble(&self, posed: &mut PosedHandles, state: &mut SolveState) {
         self.exec.progress.begin_pass("equations");
         let transforms = self.request.transforms;
         state.rhs.resize(3 * self.body.nodes(), 0.0);
+        let borders = Some(&state.borders).filter(|borders| self.smooths_borders() && !borders.is_empty());
+        let uncorrected = borders.map(|borders| borders.put_into(&mut posed.frames));
         (self.handles).assemble(self.body, posed, transforms, &mut state.rhs, self.exec.pool);
+        if let Some((borders, uncorrected)) = borders.zip(uncorrected) {
+            borders.take_back(uncorrected, &mut posed.frames);
+        }
     }
 
     /// Solves the equations in `state`: to what the request asks for, or only to the error `rough`.

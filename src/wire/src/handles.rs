@@ -104,11 +104,7 @@ fn handle(handle: &pb::Handle, field: &str) -> Result<Handle, Error> {
         stiffness: handle_stiffness(handle.stiffness, &format!("{field}.stiffness"))?,
         rigid: handle.rigid,
         pose,
-        falloff: handle_falloff(
-            handle.falloff.as_ref(),
-            handle.stiffness.is_some(),
-            &format!("{field}.falloff"),
-        )?,
+        falloff: handle_falloff(handle.falloff.as_ref(), &format!("{field}.falloff"))?,
     })
 }
 
@@ -150,8 +146,8 @@ pub(super) fn handle_stiffness(stiffness: Option<f64>, field: &str) -> Result<Op
     Ok(stiffness)
 }
 
-/// Reads a falloff. That a hard handle has none is said where the handle is set.
-pub(super) fn handle_falloff(falloff: Option<&pb::Falloff>, soft: bool, field: &str) -> Result<Option<Falloff>, Error> {
+/// Reads a falloff.
+pub(super) fn handle_falloff(falloff: Option<&pb::Falloff>, field: &str) -> Result<Option<Falloff>, Error> {
     let Some(falloff) = falloff else { return Ok(None) };
     let curve = match enumerated(falloff.kind, &format!("{field}.kind"))? {
         pb::falloff::Kind::None => None,
@@ -160,7 +156,7 @@ pub(super) fn handle_falloff(falloff: Option<&pb::Falloff>, soft: bool, field: &
     };
     let at = format!("{field}.radius");
     let radius = number(falloff.radius, &at)?;
-    if curve.is_some() && soft {
+    if curve.is_some() {
         positive(radius, &at)?;
     }
     Ok(curve.map(|curve| Falloff { radius, curve }))
@@ -377,12 +373,7 @@ pub fn handle_patch(message: &pb::Handle, fields: &[String], current: &HandleSet
         patch.rigid = Some(*rigid);
     }
     if named("falloff") {
-        let stiffness = patch.stiffness.unwrap_or(old.and_then(|h| h.stiffness));
-        patch.falloff = Some(handle_falloff(
-            new_falloff.as_ref(),
-            stiffness.is_some(),
-            &at("falloff"),
-        )?);
+        patch.falloff = Some(handle_falloff(new_falloff.as_ref(), &at("falloff"))?);
     }
     Ok(patch)
 }
@@ -490,13 +481,15 @@ mod handle_patch_tests {
                 r#"{"id": "b", "falloff": {"kind": "LINEAR"}}"#,
                 "handles[1].falloff.radius",
             ),
+            (
+                r#"{"id": "a", "falloff": {"kind": "LINEAR"}}"#,
+                "handles[0].falloff.radius",
+            ),
         ] {
             assert!(
                 matches!(patch(json), Err(Error::Invalid { field: f, .. }) if f == field),
                 "{json}"
             );
         }
-        // The deformer itself says that a hard handle has no falloff.
-        patch(r#"{"id": "a", "falloff": {"kind": "LINEAR"}}"#).expect("right as it stands");
     }
 }

@@ -25,7 +25,7 @@ pub struct Handle {
     pub rigid: bool,
     /// Where the handle is when it is set; `None`: its rest pose.
     pub pose: Option<HandlePose>,
-    /// How a soft handle fades out around its region.
+    /// How a soft handle fades out around its region, and a hard one inside of it.
     pub falloff: Option<Falloff>,
 }
 
@@ -40,10 +40,12 @@ pub struct HandleConstrains {
     pub scale: bool,
 }
 
-/// How the weight of a soft handle falls around its region.
+/// How a handle fades. A soft one does around its region: its weight falls to 0 at the radius. A hard one does inside: what is nearer to
+/// the border of the region than the radius is pulled instead of held, loosely at the border and stiffer and stiffer towards
+/// what stays hard, in proportion to f / (1 − f) for the curve's f from 0 to 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Falloff {
-    /// The distance from the region at which the weight is 0, in model units.
+    /// The width of the band, in model units: outwards from the region's border, or inwards.
     pub radius: f64,
     /// The curve of the weight.
     pub curve: FalloffCurve,
@@ -52,9 +54,9 @@ pub struct Falloff {
 /// The curve of a falloff.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FalloffCurve {
-    /// Straight down to 0 at the radius.
+    /// Straight over the radius.
     Linear,
-    /// Smoothly down to 0 at the radius.
+    /// Smoothly at both ends.
     Smooth,
 }
 

@@ -80,7 +80,7 @@ pub use quality::FrameQuality;
 pub use riding::CarriedNode;
 pub use settings::{
     COMMIT_REFINE, CarriedModel, DeformerLimits, ESTIMATED_MEMORY, KeptApart, OpenOptions, Passenger, PassengerKind,
-    SolveMode, SolveSettings,
+    Recipe, SolveMode, SolveSettings,
 };
 pub use shape::{ModelShape, Shader, Shading, ShapeId, TopologyId, digest, shading};
 pub use solve::Drag;

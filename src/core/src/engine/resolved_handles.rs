@@ -77,20 +77,22 @@ pub(super) fn resolve_handles(
             return Err(in_region(holds_nothing(context)));
         }
         (resolved.centroids).push(region_centroid(context, graph, &vertices, &held.nodes));
-        if handle.falloff.is_some() && handle.stiffness.is_none() {
-            let problem = "needs stiffness: a hard handle cannot fade out";
+        if handle.rigid && handle.falloff.is_some() && handle.stiffness.is_none() {
+            let problem =
+                "makes the edge of a hard handle's region give way, but the region is rigid: one of both is allowed";
             return Err(Error::invalid(format!("handles[{k}].falloff"), problem));
         }
         if let Some(pose) = &handle.pose {
             check_free_rotation(handle, pose, &format!("handles[{k}].pose"))?;
         }
-        let hold = hold_nodes(body, handle, held, context.exec)?;
+        let at = format!("handles[{k}]");
+        let hold = hold_nodes(body, handle, held, &at, context.exec)?;
         if hold.stiffness.is_none() && hold.position {
             unreferenced.extend(unreferenced_vertices(context, &vertices, k as u32));
         }
         if mirror.is_some() {
             let image = nodes_in_region(context, graph, &handle.region, mirror).map_err(in_region)?;
-            let mut image = hold_nodes(body, handle, image, context.exec)?;
+            let mut image = hold_nodes(body, handle, image, &at, context.exec)?;
             // A node of both belongs to the handle itself, not to its mirror image.
             image.nodes.retain(|n| hold.nodes.binary_search(n).is_err());
             image.pulls.retain(|(n, _)| hold.nodes.binary_search(n).is_err());
@@ -217,21 +219,31 @@ fn hold_nodes(
     body: &DeformableBody,
     handle: &Handle,
     held: RegionNodes,
+    field: &str,
     exec: &Exec<'_>,
-) -> Result<HandleConstraint, Cancelled> {
+) -> Result<HandleConstraint, Error> {
     let mut pulls = Vec::new();
+    let mut nodes = held.nodes;
     if handle.stiffness.is_some() {
-        let ones = vec![1.0; held.nodes.len()];
+        let ones = vec![1.0; nodes.len()];
         let weights = held.weights.as_deref().unwrap_or(&ones);
-        pulls = held.nodes.iter().copied().zip(weights.iter().copied()).collect();
+        pulls = nodes.iter().copied().zip(weights.iter().copied()).collect();
         if let Some(falloff) = handle.falloff {
-            pulls.extend(fading_weights(body, &held.nodes, falloff, exec)?);
+            pulls.extend(fading_weights(body, &nodes, falloff, exec)?);
             pulls.sort_by_key(|p| p.0);
             pulls.shrink_to_fit();
         }
+    } else if let Some(falloff) = handle.falloff {
+        (nodes, pulls) = hard_core(body, &nodes, falloff, exec)?.map_err(|depth| {
+            let problem = format!(
+                "is {}, but no vertex of the region is that far from its border: below {depth} is allowed",
+                falloff.radius
+            );
+            Error::invalid(format!("{field}.falloff.radius"), problem)
+        })?;
     }
     Ok(HandleConstraint {
-        nodes: held.nodes,
+        nodes,
         pulls,
         stiffness: handle.stiffness,
         position: handle.constrains.position,
@@ -241,11 +253,74 @@ fn hold_nodes(
     })
 }
 
+/// How many times its distance from the border a pull in the middle of the band lets a disturbance reach, squared: it is gone
+/// after a quarter of the radius.
+const BAND_STIFFNESS: f64 = 16.0;
+/// A pull that is stiffer than any soft handle's may be is as good as hard.
+const HARDEST: f64 = 1e6;
+/// Directions of an edge in space, twice: what turns the mean square of a node's edges into the scale of its Laplacian.
+const TWICE_DIRECTIONS: f64 = 6.0;
+
+/// Of the nodes of a hard handle's region, those that stay hard, and the pulls of the band that its falloff makes soft: what is nearer
+/// than the radius to a node outside, along the graph's edges. With weight f by the curve, 0 at the border and 1 at the core, the pull is
+/// as f / (1 − f), in units that let a disturbance reach as far on fine meshes as on coarse ones. A region without a border is
+/// all core. `Err` with the largest distance where there is no core.
+#[expect(clippy::type_complexity, reason = "nodes and pulls, as in HandleConstraint")]
+fn hard_core(
+    body: &DeformableBody,
+    region: &[u32],
+    falloff: Falloff,
+    exec: &Exec<'_>,
+) -> Result<Result<(Vec<u32>, Vec<(u32, f64)>), f64>, Cancelled> {
+    let mut outside = vec![true; body.nodes()];
+    region.iter().for_each(|&n| outside[n as usize] = false);
+    let outside: Vec<u32> = (0u32..).zip(outside).filter(|(_, out)| *out).map(|(n, _)| n).collect();
+    let mut pulls = fading_weights(body, &outside, falloff, exec)?;
+    if pulls.len() == region.len() {
+        let far = distances_around(body, &outside, f64::MAX, exec)?;
+        return Ok(Err(far.iter().map(|(_, d)| *d).fold(0.0, f64::max)));
+    }
+    pulls.sort_by_key(|p| p.0);
+    let per_square = BAND_STIFFNESS / (TWICE_DIRECTIONS * falloff.radius * falloff.radius);
+    for (node, weight) in &mut pulls {
+        let here = body.graph.positions[*node as usize];
+        let square = |(other, w): (usize, f64)| w * here.distance_squared(body.graph.positions[other]);
+        let squares: f64 = body.edges(*node as usize).map(square).sum();
+        *weight = per_square * squares * (1.0 - *weight) / weight.max(f64::MIN_POSITIVE);
+    }
+    let core = |n: &u32| match pulls.binary_search_by_key(n, |p| p.0) {
+        Ok(at) => pulls[at].1 > HARDEST,
+        Err(_) => true,
+    };
+    let nodes = region.iter().copied().filter(core).collect();
+    pulls.retain(|p| p.1 <= HARDEST);
+    pulls.shrink_to_fit();
+    Ok(Ok((nodes, pulls)))
+}
+
 /// Weights around a region by distance along the graph's edges, so that a falloff does not jump between fingers.
 pub(super) fn fading_weights(
     body: &DeformableBody,
     core: &[u32],
     Falloff { radius, curve }: Falloff,
+    exec: &Exec<'_>,
+) -> Result<Vec<(u32, f64)>, Cancelled> {
+    let mut found = distances_around(body, core, radius, exec)?;
+    for (_, value) in &mut found {
+        let t = *value / radius;
+        *value = match curve {
+            FalloffCurve::Smooth => 1.0 - t * t * (3.0 - 2.0 * t),
+            FalloffCurve::Linear => 1.0 - t,
+        };
+    }
+    Ok(found)
+}
+
+/// Distances from a region along the graph's edges, of nodes around it that are nearer than `radius`.
+fn distances_around(
+    body: &DeformableBody,
+    core: &[u32],
+    radius: f64,
     exec: &Exec<'_>,
 ) -> Result<Vec<(u32, f64)>, Cancelled> {
     #[derive(PartialEq)]
@@ -279,12 +354,7 @@ pub(super) fn fading_weights(
             continue;
         }
         if d > 0.0 {
-            let t = d / radius;
-            let weight = match curve {
-                FalloffCurve::Smooth => 1.0 - t * t * (3.0 - 2.0 * t),
-                FalloffCurve::Linear => 1.0 - t,
-            };
-            found.push((n, weight));
+            found.push((n, d));
         }
         for e in graph.offsets[n as usize] as usize..graph.offsets[n as usize + 1] as usize {
             let j = graph.neighbours[e];

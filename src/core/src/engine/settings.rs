@@ -91,9 +91,26 @@ pub struct SolveSettings {
     pub method: Method,
     /// Where fits of a commit begin.
     pub fits: FitOrder,
-    /// Whether a commit that says nothing of fits is kept from having more folds and crossings than without them. Records of
-    /// the time before lack it.
-    pub unbuckles: bool,
+    /// What a commit does with its fits.
+    pub recipe: Recipe,
+}
+
+/// What a commit does with fitted rotations, as it grew: each does what those before it did. A record names the one that its
+/// shape was solved by, and is solved by that one again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
+pub enum Recipe {
+    /// They are taken as they come.
+    AsTheyCome,
+    /// A commit that says nothing of fits is kept from having more folds and crossings than without them.
+    Unbuckled,
+    /// What is free leaves hard handles in their direction.
+    #[default]
+    SmoothBorders,
+}
+
+impl Recipe {
+    /// All, oldest first; a record has the place in this list.
+    pub const ALL: [Self; 3] = [Self::AsTheyCome, Self::Unbuckled, Self::SmoothBorders];
 }
 
 impl Default for SolveSettings {
@@ -102,7 +119,7 @@ impl Default for SolveSettings {
             quality: Quality::DEFAULT,
             method: Method::default(),
             fits: FitOrder::default(),
-            unbuckles: true,
+            recipe: Recipe::default(),
         }
     }
 }
@@ -111,7 +128,7 @@ impl SolveSettings {
     /// Whether fits of a commit are looked at: only where nothing was said of them.
     pub(super) fn watches_fits(&self) -> bool {
         let Quality { refine, smoothing, .. } = self.quality;
-        self.unbuckles && refine.is_none() && smoothing == 0.0 && self.method == Method::Harmonic
+        self.recipe >= Recipe::Unbuckled && refine.is_none() && smoothing == 0.0 && self.method == Method::Harmonic
     }
 }
 
@@ -135,7 +152,7 @@ pub(super) const EDITED_AT_REST: SolveSettings = SolveSettings {
     },
     method: Method::Harmonic,
     fits: FitOrder::GraphAlone,
-    unbuckles: false,
+    recipe: Recipe::AsTheyCome,
 };
 
 /// How a solve treats what was solved before.

@@ -15,7 +15,7 @@ use crate::engine::error::Error;
 use crate::engine::handle::{HandlePose, HandlePoses};
 use crate::engine::resolved_handles::check_free_rotation;
 use crate::engine::riding::RidingVertices;
-use crate::engine::settings::{COMMIT_REFINE, SolveMode, SolveSettings};
+use crate::engine::settings::{COMMIT_REFINE, Recipe, SolveMode, SolveSettings};
 use crate::engine::shape::{ModelShape, ShapeId};
 use crate::exec::Exec;
 use crate::mesh::carry::CarrySurface;
@@ -237,6 +237,9 @@ fn pose_request<'a>(
         first_pass: FirstPass::Harmonic,
         fits: settings.fits,
         extent,
+        smooth_borders: settings.recipe >= Recipe::SmoothBorders
+            && mode == SolveMode::Commit
+            && settings.method == Method::Harmonic,
     }
 }
 

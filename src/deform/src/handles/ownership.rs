@@ -9,8 +9,9 @@ use std::sync::Arc;
 pub struct HandleConstraint {
     /// The nodes of its region, rising.
     pub nodes: Vec<u32>,
-    /// For a soft handle: nodes that it pulls with their weight, 0 to 1, rising; its region with weight 1 (or the
-    /// region's own weights) and the falloff around it. Empty for a hard one.
+    /// Nodes that it pulls, rising. For a soft handle with their weight, 0 to 1: its region with weight 1 (or the region's own
+    /// weights) and the falloff around it. For a hard one the band of its falloff, which is not part of `nodes`, with the
+    /// stiffness itself.
     pub pulls: Vec<(u32, f64)>,
     /// `None` for a hard handle, else the stiffness in units of edge weights.
     pub stiffness: Option<f64>,
@@ -85,7 +86,7 @@ impl NodeOwnership {
         let pulls = setup.handles.iter().filter(|h| constrains(h)).map(|h| h.pulls.len());
         let mut soft = Vec::with_capacity(pulls.sum());
         for (k, hold) in setup.handles.iter().enumerate().filter(|(_, h)| constrains(h)) {
-            let Some(stiffness) = hold.stiffness else { continue };
+            let stiffness = hold.stiffness.unwrap_or(1.0);
             let mut in_core = hold.nodes.iter().copied().peekable();
             for &(node, weight) in &hold.pulls {
                 while in_core.peek().is_some_and(|&c| c < node) {

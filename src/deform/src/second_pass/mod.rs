@@ -1,5 +1,6 @@
 //! The second pass: positions that agree best with the local frames (paper section 2.2, equations 8 and 11).
 
+mod borders;
 mod coarse_first;
 mod drag;
 pub(super) mod equations;

@@ -95,7 +95,7 @@ impl HandleSystem {
             stopped: false,
         };
         prepare(body, self, &posed, true, state, exec.pool);
-        pose.assemble(&posed, state);
+        pose.assemble(&mut posed, state);
         let stats = pose.run(&self.positions, InitialGuess::Given, 0.0, state, &mut tally)?;
         if !self.stiff.is_empty() {
             pose.stiffen(None, &mut posed, state)?;

@@ -3,6 +3,7 @@
 //! A drag keeps its last solution in the order of the solver's rows, with what finds a node in it.
 
 use crate::body::DeformableBody;
+use crate::border_frames::BorderFrames;
 use crate::first_pass::blend::{LocalFrame, LocalRotation};
 use crate::handles::ownership::UNHELD;
 use crate::handles::system::HandleSystem;
@@ -26,6 +27,8 @@ pub struct SolveState {
     pub(crate) workspace: Workspace,
     /// The scales that keep the volume in the last pose that was fitted.
     pub(crate) volume: VolumeScales,
+    /// What takes the strain from the edges of hard handles in the last pose that was fitted.
+    pub(crate) borders: BorderFrames,
     /// The last solution in the order of the solver's rows, where a drag keeps it.
     pub(crate) rows: DragRows,
     /// Memory for the positions and frames of the next pose of a drag.
@@ -40,6 +43,7 @@ impl SolveState {
         (self.x.capacity() + self.rhs.capacity()) * 8
             + self.extra.capacity() * 16
             + self.volume.byte_size()
+            + self.borders.byte_size()
             + self.spare.0.capacity() * size_of::<DVec3>()
             + self.spare.1.capacity() * size_of::<LocalFrame>()
             + self.workspace.byte_size()

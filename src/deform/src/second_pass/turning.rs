@@ -183,6 +183,7 @@ fn search_request<'a>(transforms: &'a [Transform], wanted: &PoseRequest<'_>, sta
         first_pass: FirstPass::Harmonic,
         fits: FitOrder::GraphAlone,
         extent: SolutionExtent::Graph,
+        smooth_borders: false,
     }
 }
 

@@ -7,7 +7,9 @@ use super::messages::{
 use crate::frames::{FrameEncoding, FrameOutput};
 use crate::{Error, SessionEdit, handle_pose, handle_pose_message, handle_set, handle_set_message, pb, session_edit};
 use glam::DVec3;
-use pliant_core::engine::{DefaultPivot, Edit, HandlePose, HandlePoses, HandleSet, Method, Quality, SolveSettings};
+use pliant_core::engine::{
+    DefaultPivot, Edit, HandlePose, HandlePoses, HandleSet, Method, Quality, Recipe, SolveSettings,
+};
 use pliant_deform::FitOrder;
 use prost::Message as _;
 
@@ -248,7 +250,7 @@ fn settings_message(settings: &SolveSettings) -> SettingsMessage {
         quality,
         method,
         fits,
-        unbuckles,
+        recipe,
     } = settings;
     SettingsMessage {
         tolerance: quality.tolerance,
@@ -263,7 +265,7 @@ fn settings_message(settings: &SolveSettings) -> SettingsMessage {
         .into(),
         spatial_rbf: *method == Method::SpatialRbf,
         coarse_first: *fits == FitOrder::CoarseFirst,
-        unbuckles: *unbuckles,
+        recipe: *recipe as u32,
         keeps_volume: quality.keeps_volume,
     }
 }
@@ -281,6 +283,7 @@ fn recorded_settings(message: &SettingsMessage) -> Result<SolveSettings, Error> 
         ..Default::default()
     };
     let checked = crate::DeformOptions::check(&asked, "settings", 64)?;
+    let recipe = Recipe::ALL.get(message.recipe as usize).copied();
     Ok(SolveSettings {
         quality: Quality {
             tolerance: message.tolerance,
@@ -293,7 +296,13 @@ fn recorded_settings(message: &SettingsMessage) -> Result<SolveSettings, Error> 
             true => FitOrder::CoarseFirst,
             false => FitOrder::GraphAlone,
         },
-        unbuckles: message.unbuckles,
+        recipe: recipe.ok_or_else(|| {
+            let known = Recipe::ALL.len();
+            Error::invalid(
+                "settings.recipe",
+                format!("is {}, known are 0 to {}", message.recipe, known - 1),
+            )
+        })?,
     })
 }
 

@@ -41,7 +41,7 @@ fn unusual_settings() -> SolveSettings {
         },
         method: Method::Diffusion,
         fits: FitOrder::GraphAlone,
-        unbuckles: false,
+        recipe: Recipe::AsTheyCome,
     }
 }
 
@@ -217,4 +217,19 @@ proptest! {
         bytes.truncate(cut.index(bytes.len() + 1));
         let _ = LoggedCommit::read(&bytes);
     }
+}
+
+#[test]
+fn a_record_from_before_borders_were_smooth_is_solved_as_it_was() {
+    // Field 8 was a bool.
+    for (bytes, recipe) in [
+        (&[][..], Recipe::AsTheyCome),
+        (&[0x40, 1], Recipe::Unbuckled),
+        (&[0x40, 2], Recipe::SmoothBorders),
+    ] {
+        let message = SettingsMessage::decode(bytes).expect("a record");
+        assert_eq!(recorded_settings(&message).expect("settings").recipe, recipe);
+    }
+    let unknown = SettingsMessage::decode(&[0x40, 9][..]).expect("a record");
+    assert!(matches!(recorded_settings(&unknown), Err(Error::Invalid { field, .. }) if field == "settings.recipe"));
 }

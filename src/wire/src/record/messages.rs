@@ -113,9 +113,9 @@ pub(super) struct SettingsMessage {
     /// Absent in records of the time when all fits were on the graph alone.
     #[prost(bool, tag = "7")]
     pub coarse_first: bool,
-    /// Absent in records of the time when fits were taken as they came.
-    #[prost(bool, tag = "8")]
-    pub unbuckles: bool,
+    /// The place in `Recipe::ALL`. It was a bool when there were two.
+    #[prost(uint32, tag = "8")]
+    pub recipe: u32,
     /// Absent in records of the time when volume was not kept.
     #[prost(bool, tag = "9")]
     pub keeps_volume: bool,

@@ -289,6 +289,7 @@ impl Animation {
             first_pass: FirstPass::WeightedSum,
             fits,
             extent: SolutionExtent::Graph,
+            smooth_borders: false,
         };
         let body = &self.derived.body;
         let solution = self.system.solve(body, &request, state, exec, &mut |_| true)?;

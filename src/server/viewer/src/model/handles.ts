@@ -81,7 +81,7 @@ export function messageOf(handle: HandleState): Handle & { id: string } {
     ...(handle.vertices === undefined ? {} : { region: regionOf(handle.vertices) }),
     ...(all ? {} : { constrains }),
     ...(handle.hold === "soft" ? { stiffness: handle.stiffness } : {}),
-    ...(handle.hold === "soft" && handle.falloff.kind !== "NONE" && handle.falloff.radius > 0
+    ...(handle.falloff.kind !== "NONE" && handle.falloff.radius > 0
       ? { falloff: { radius: handle.falloff.radius, kind: schema.Falloff_Kind[handle.falloff.kind] } }
       : {}),
     rigid: handle.rigid,

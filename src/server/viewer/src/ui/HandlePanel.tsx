@@ -71,33 +71,31 @@ function Details({ handle }: { handle: HandleState }): JSX.Element {
       />
       {foreign && <p class="hint">Set elsewhere: this page knows its pose, not its region.</p>}
       {hold === "soft" && (
-        <>
-          <Field label="Stiffness" hint="How strongly it pulls, in units of edge weights">
-            <NumberInput label="Stiffness" value={stiffness} min={1e-6} step={0.5} onValue={(value) => change({ stiffness: value })} />
-          </Field>
-          <Field label="Fades" hint="How its pull falls around the region">
-            <select
-              aria-label="Falloff"
-              value={falloff.kind}
-              onChange={(event) => change({ falloff: { ...falloff, kind: event.currentTarget.value as HandleState["falloff"]["kind"] } })}
-            >
-              <option value="NONE">not at all</option>
-              <option value="LINEAR">linearly</option>
-              <option value="SMOOTH">smoothly</option>
-            </select>
-            {falloff.kind !== "NONE" && (
-              <NumberInput
-                label="Falloff radius in model units"
-                value={falloff.radius}
-                min={1e-9}
-                digits={4}
-                step={falloff.radius / 10 || 0.1}
-                onValue={(radius) => change({ falloff: { ...falloff, radius } })}
-              />
-            )}
-          </Field>
-        </>
+        <Field label="Stiffness" hint="How strongly it pulls, in units of edge weights">
+          <NumberInput label="Stiffness" value={stiffness} min={1e-6} step={0.5} onValue={(value) => change({ stiffness: value })} />
+        </Field>
       )}
+      <Field label="Fades" hint={hold === "soft" ? "How its pull falls around the region" : "How it gives way inside, up to its border"}>
+        <select
+          aria-label="Falloff"
+          value={falloff.kind}
+          onChange={(event) => change({ falloff: { ...falloff, kind: event.currentTarget.value as HandleState["falloff"]["kind"] } })}
+        >
+          <option value="NONE">not at all</option>
+          <option value="LINEAR">linearly</option>
+          <option value="SMOOTH">smoothly</option>
+        </select>
+        {falloff.kind !== "NONE" && (
+          <NumberInput
+            label="Falloff radius in model units"
+            value={falloff.radius}
+            min={1e-9}
+            digits={4}
+            step={falloff.radius / 10 || 0.1}
+            onValue={(radius) => change({ falloff: { ...falloff, radius } })}
+          />
+        )}
+      </Field>
       <fieldset class="row">
         <legend>Holds</legend>
         {(["position", "rotation", "scale"] as const).map((what) => (
