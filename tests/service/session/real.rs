@@ -118,6 +118,40 @@ async fn commits_undo_and_replay_to_the_bit() {
 }
 
 #[tokio::test]
+async fn a_set_that_is_sent_again_turns_nothing_that_it_does_not_name() {
+    let fixture = bent(SessionConfig::default()).await;
+    fixture.solve(turned(0.8)).await;
+    let top = |pose: HandlePose| Handle {
+        pose: Some(pose),
+        ..Handle::new("top", Region::half_space([0.0, 0.0, 1.0], 2.7))
+    };
+    let base = || Handle::new("base", Region::half_space([0.0, 0.0, -1.0], -0.3));
+    let ring = || Handle::new("ring", Region::vertices(28..32));
+    let turn = HandlePose::rotation([0.8, 0.0, 0.0]);
+    let still = PoseCommit {
+        changes: vec![],
+        ..turned(0.0)
+    };
+    let before = fixture.positions().await;
+    // The ring lies where the top has turned about: the joint moves up. Then it is taken away, and the joint moves back.
+    for set in [vec![base(), top(turn), ring()], vec![base(), top(turn)]] {
+        fixture.set_handles(HandleSet::from(set)).await;
+        fixture.solve(still.clone()).await;
+        assert_eq!(
+            fixture.positions().await.bytes[44 * 12..],
+            before.bytes[44 * 12..],
+            "the top stays where it is"
+        );
+    }
+    let further = HandlePose::rotation([0.9, 0.0, 0.0]);
+    fixture
+        .set_handles(HandleSet::from([base(), ring(), top(further)]))
+        .await;
+    let told = fixture.facts().await;
+    assert!(told.handles[2].pose.as_ref().is_some_and(|pose| pose.pivot.is_empty()));
+}
+
+#[tokio::test]
 async fn frames_carry_normals_that_turn_with_the_shape() {
     let fixture = bent(small()).await;
     let mut request = turned(1.0);
