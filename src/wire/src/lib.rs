@@ -29,7 +29,9 @@ pub use calls::{PoseCommit, SessionEdit, SessionPage, page_token, pose_commit, s
 pub use create::{SessionOptions, open_options, session_options};
 pub use edit::{edit, edit_name, edit_result};
 pub use facts::followed_message;
-pub use facts::{handle_poses_message, quality_message, session_message, warning_message};
+pub use facts::{
+    add_found_turns, found_turns_message, handle_poses_message, quality_message, session_message, warning_message,
+};
 pub use handles::{HandlePatch, handle_patch};
 pub use handles::{handle_set, handle_set_message, region_message};
 pub use options::DeformOptions;

@@ -192,6 +192,7 @@ impl Deformer {
             id: self.rest_id(),
             positions: Arc::clone(self.rest()),
             stats: PoseStats::default(),
+            turns: Arc::default(),
         }
     }
 

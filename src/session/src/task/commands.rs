@@ -130,13 +130,13 @@ impl SessionTask {
 }
 impl RunCall for HandleChange {
     async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<pb::Session, Error> {
-        let state = task.history.current();
+        let state = task.history.current().clone();
         let poses = with_pivots(&state.poses, &state.facts.handles);
         let set = self.apply_to(&state.handles.set, &poses)?;
         let limit = task.shared.config.build;
         let topology = state.topology.clone();
         let lane = lane_of_work(state.cost_of_handles(&set) <= LIGHT_HANDLES);
-        let (poses, facts, stages) = loop {
+        let (poses, mut facts, stages) = loop {
             let room = task.memory.room();
             let (set, topology) = (set.clone(), topology.clone());
             let (replaced, watch) = task
@@ -151,6 +151,13 @@ impl RunCall for HandleChange {
                 Err(e) => return Err(task.memory_failure(e, room, &watch)),
             }
         };
+        // The shape stays, and so do the turns that it has.
+        for ((told, handle), pose) in facts.handles.iter_mut().zip(&set.handles).zip(poses.0.iter()) {
+            let old = state.facts.handles.iter().find(|old| old.id == handle.id);
+            if let Some(old) = old.filter(|_| pose.free_rotation) {
+                told.found_turn.clone_from(&old.found_turn);
+            }
+        }
         let commit = || LoggedCommit::Handles {
             set: set.clone(),
             poses: poses.clone(),
