@@ -9,6 +9,7 @@ mod animate;
 mod calls;
 mod check;
 mod create;
+mod crossings;
 mod edit;
 mod facts;
 pub mod frames;
@@ -27,6 +28,7 @@ pub use animate::{
 };
 pub use calls::{PoseCommit, SessionEdit, SessionPage, page_token, pose_commit, session_edit, session_page};
 pub use create::{SessionOptions, open_options, session_options};
+pub use crossings::{CrossingsOrder, crossings_order};
 pub use edit::{edit, edit_name, edit_result};
 pub use facts::followed_message;
 pub use facts::{

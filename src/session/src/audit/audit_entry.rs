@@ -26,6 +26,8 @@ pub enum AuditedAction {
     Export,
     /// Something was carried along with it.
     Carry,
+    /// Crossings of its surface were looked for.
+    Crossings,
     /// It was driven by a clip.
     Animate,
     /// It was deleted.
@@ -47,6 +49,7 @@ impl AuditedAction {
             Self::Stream => "stream",
             Self::Export => "export",
             Self::Carry => "carry",
+            Self::Crossings => "crossings",
             Self::Animate => "animate",
             Self::Delete => "delete",
             Self::Expire => "expire",

@@ -24,7 +24,7 @@ use pliant_core::engine::{Animation, ClipSource, Deformer, ModelShape, TopologyS
 use pliant_exec::Exec;
 use pliant_exec::progress::Progress as _;
 use pliant_wire::record::LoggedCommit;
-use pliant_wire::{CarryOrder, DeformOptions, PoseCommit, SessionEdit, pb};
+use pliant_wire::{CarryOrder, CrossingsOrder, DeformOptions, PoseCommit, SessionEdit, pb};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -71,6 +71,7 @@ impl SessionTask {
             SessionCommand::Recall(call) => self.serve(*call).await,
             SessionCommand::Export(call) => self.serve(*call).await,
             SessionCommand::Carry(call) => self.serve(*call).await,
+            SessionCommand::Crossings(call) => self.serve(*call).await,
             SessionCommand::Animate(call) => self.serve(*call).await,
         }
     }
@@ -260,6 +261,28 @@ impl RunCall for CarryOrder {
         Ok(pb::CarryResponse {
             revision: view.revision,
             ..carried.map_err(|e| task.failure(e, &watch))?
+        })
+    }
+}
+
+impl RunCall for CrossingsOrder {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<pb::CrossingsResponse, Error> {
+        let view = task.session.view();
+        let state = task.history.current();
+        let (positions, topology) = (Arc::clone(&view.positions), state.topology.clone());
+        let lane = lane_of_work(state.triangles() <= FEW_TRIANGLES);
+        let limit = task.shared.config.build;
+        let (found, watch) = task
+            .compute(origin.order(WorkKind::Crossings, lane, limit), move |deformer, work| {
+                let exec = work.exec();
+                deformer.go_to_topology(topology.as_ref(), &exec)?;
+                let found = (deformer.deformer("looking for crossings")?).crossing_triangles(&positions, &exec)?;
+                Ok::<_, engine::Error>(self.answer(&found))
+            })
+            .await?;
+        Ok(pb::CrossingsResponse {
+            revision: view.revision,
+            ..found.map_err(|e| task.failure(e, &watch))?
         })
     }
 }
