@@ -33,7 +33,8 @@ names_session!(
     SolveRequest,
     EditRequest,
     CarryRequest,
-    CrossingsRequest
+    CrossingsRequest,
+    MakeRigRequest
 );
 
 /// A session as its owner sees it, with the limits of the server.

@@ -15,6 +15,7 @@ mod facts;
 pub mod frames;
 mod handles;
 pub mod json;
+mod made_rig;
 mod options;
 mod passengers;
 pub mod pb;
@@ -36,6 +37,7 @@ pub use facts::{
 };
 pub use handles::{HandlePatch, handle_patch};
 pub use handles::{handle_set, handle_set_message, region_message};
+pub use made_rig::{MakeRigOrder, made_rig_message, make_rig_order};
 pub use options::DeformOptions;
 pub use passengers::{CarryOrder, carry_order};
 pub use pliant_core::engine::Error;

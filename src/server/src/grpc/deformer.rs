@@ -173,6 +173,16 @@ impl Deformer for Calls {
         )
     }
 
+    async fn make_rig(&self, request: Request<pb::MakeRigRequest>) -> GrpcAnswer<pb::MakeRigResponse> {
+        let call = Call::read(&self.state, request)?.on_session(&self.state).await?;
+        let order = pliant_wire::make_rig_order(&call.message).map_err(status)?;
+        answer(
+            (call.manager)
+                .make_rig(&call.tenant, &call.message.session_id, order)
+                .await,
+        )
+    }
+
     type AnimateStream = Sent<pb::Frame>;
 
     async fn animate(&self, request: Request<Streaming<pb::AnimateRequest>>) -> GrpcAnswer<Self::AnimateStream> {

@@ -28,6 +28,8 @@ pub enum AuditedAction {
     Carry,
     /// Crossings of its surface were looked for.
     Crossings,
+    /// A rig was made of its model.
+    Rig,
     /// It was driven by a clip.
     Animate,
     /// It was deleted.
@@ -50,6 +52,7 @@ impl AuditedAction {
             Self::Export => "export",
             Self::Carry => "carry",
             Self::Crossings => "crossings",
+            Self::Rig => "rig",
             Self::Animate => "animate",
             Self::Delete => "delete",
             Self::Expire => "expire",

@@ -11,7 +11,7 @@ use pliant_asset::Format;
 use pliant_core::engine::{Handle, HandlePose, HandlePoses, HandleSet};
 use pliant_exec::progress::CancelFlag;
 use pliant_wire::record::AnsweredFrame;
-use pliant_wire::{AnimateOrder, CarryOrder, CrossingsOrder, HandlePatch, PoseCommit, SessionEdit, pb};
+use pliant_wire::{AnimateOrder, CarryOrder, CrossingsOrder, HandlePatch, MakeRigOrder, PoseCommit, SessionEdit, pb};
 use prost::Message as _;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -96,6 +96,7 @@ session_calls! {
     Export: ExportModel => ExportedModel;
     Carry: CarryOrder => pb::CarryResponse;
     Crossings: CrossingsOrder => pb::CrossingsResponse;
+    MakeRig: MakeRigOrder => pb::MakeRigResponse;
     Animate: PrepareAnimation => PreparedAnimation;
 }
 

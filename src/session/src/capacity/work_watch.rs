@@ -168,6 +168,8 @@ work_kinds! {
     Carry "carry",
     /// Crossings of the current shape are looked for.
     Crossings "crossings",
+    /// A rig is made.
+    Rig "rig",
     /// An animation is prepared.
     Animate "animate",
     /// A frame of an animation is solved.

@@ -20,11 +20,16 @@ use crate::stream::frame_window::FrameContext;
 use crate::task::session_task::{SessionTask, no_handles};
 use glam::DVec3;
 use pliant_core::engine;
-use pliant_core::engine::{Animation, ClipSource, Deformer, ModelShape, TopologyState};
+use pliant_core::engine::{
+    Animation, ClipSource, Deformer, ModelShape, RigOrder, TopologyState, left_out_of_rig, make_rig,
+};
 use pliant_exec::Exec;
 use pliant_exec::progress::Progress as _;
+use pliant_motion::bvh::read_bvh;
 use pliant_wire::record::LoggedCommit;
-use pliant_wire::{CarryOrder, CrossingsOrder, DeformOptions, PoseCommit, SessionEdit, pb};
+use pliant_wire::{
+    CarryOrder, CrossingsOrder, DeformOptions, MakeRigOrder, PoseCommit, SessionEdit, made_rig_message, pb,
+};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -72,6 +77,7 @@ impl SessionTask {
             SessionCommand::Export(call) => self.serve(*call).await,
             SessionCommand::Carry(call) => self.serve(*call).await,
             SessionCommand::Crossings(call) => self.serve(*call).await,
+            SessionCommand::MakeRig(call) => self.serve(*call).await,
             SessionCommand::Animate(call) => self.serve(*call).await,
         }
     }
@@ -287,6 +293,36 @@ impl RunCall for CrossingsOrder {
     }
 }
 
+impl RunCall for MakeRigOrder {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<pb::MakeRigResponse, Error> {
+        let topology = task.history.current().topology.clone();
+        let (limit, clip_limits) = (task.shared.config.build, task.shared.config.animation_limits().clip);
+        reserve_for_clip(task, self.bvh.as_ref().map_or(0, |bytes| bytes.len()))?;
+        let (made, watch) = task
+            .compute(
+                origin.order(WorkKind::Rig, WorkLane::Builds, limit),
+                move |deformer, work| {
+                    let exec = work.exec();
+                    deformer.go_to_topology(topology.as_ref(), &exec)?;
+                    let clip = self.bvh.map(|bytes| read_bvh(&bytes, &clip_limits)).transpose()?;
+                    let order = RigOrder {
+                        clip: clip.as_ref(),
+                        preset: self.preset.as_deref(),
+                        landmarks: self.landmarks,
+                        up: self.up,
+                        front: self.front,
+                    };
+                    let model = deformer.deformer("making rigs")?.model();
+                    let mut made = make_rig(model, &order, &exec)?;
+                    made.warnings.extend(left_out_of_rig(model)?);
+                    Ok::<_, engine::Error>(made_rig_message(&made))
+                },
+            )
+            .await?;
+        made.map_err(|error| task.failure(error, &watch))
+    }
+}
+
 impl RunCall for ExportModel {
     async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<ExportedModel, Error> {
         let view = task.session.view();
@@ -423,6 +459,16 @@ impl RunCall for SessionEdit {
 /// Bytes of memory for each byte of a clip while it is read: a number of two digits is a number, and becomes part of a rotation.
 const BYTES_PER_CLIP_BYTE: u64 = 16;
 
+/// Takes the memory in which a clip of so many bytes is read.
+fn reserve_for_clip(task: &mut SessionTask, bytes: usize) -> Result<(), Error> {
+    let needed = (bytes as u64).saturating_mul(BYTES_PER_CLIP_BYTE);
+    let reserved = task.memory.grow_to(task.memory.bytes().saturating_add(needed));
+    reserved.map_err(|shortage| {
+        let text = format!("reading the clip would need {needed} bytes of memory, and {shortage}");
+        count_refusal(&task.shared, no_place(text))
+    })
+}
+
 /// Handles, shape and history stay as they are.
 impl RunCall for PrepareAnimation {
     async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<PreparedAnimation, Error> {
@@ -431,12 +477,7 @@ impl RunCall for PrepareAnimation {
         let topology = task.history.current().topology.clone();
         let limits = task.shared.config.animation_limits();
         if let ClipSource::Bvh { bytes, .. } = &order.request.clip {
-            let needed = (bytes.len() as u64).saturating_mul(BYTES_PER_CLIP_BYTE);
-            let reserved = task.memory.grow_to(task.memory.bytes().saturating_add(needed));
-            reserved.map_err(|shortage| {
-                let text = format!("reading the clip would need {needed} bytes of memory, and {shortage}");
-                count_refusal(&task.shared, no_place(text))
-            })?;
+            reserve_for_clip(task, bytes.len())?;
         }
         let (prepared, watch) = task
             .compute(
