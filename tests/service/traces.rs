@@ -188,7 +188,7 @@ async fn work_of_every_kind_has_its_own_name_below_the_call_that_asked_for_it() 
         .done("POST", &path("carry"), Some(&json!({"points": [0, 0, 0]})))
         .await;
     server.done("POST", &path("crossings"), Some(&json!({}))).await;
-    // The bar is no body; the work is done all the same.
+    // The bar is not a figure; the search is done all the same.
     server.call_with_key("POST", &path("rig"), Some(&json!({})), None).await;
     let mut stream = server.socket(&path("stream")).await;
     stream.send(Message::Pose(turned(1, 0.2, false))).await;

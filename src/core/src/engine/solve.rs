@@ -16,7 +16,7 @@ use crate::engine::handle::{HandlePose, HandlePoses};
 use crate::engine::resolved_handles::check_free_rotation;
 use crate::engine::riding::RidingVertices;
 use crate::engine::settings::{COMMIT_REFINE, SolveMode, SolveSettings};
-use crate::engine::shape::{FoundTurn, ModelShape, ShapeId};
+use crate::engine::shape::{ModelShape, ShapeId};
 use crate::exec::Exec;
 use crate::mesh::carry::CarrySurface;
 use crate::mesh::{Mesh, NONE};
@@ -174,14 +174,7 @@ impl Deformer {
         }
         exec.progress.begin_pass("render");
         let positions = Arc::new(shape.render(&solved.positions, &solved.frames, &transforms));
-        // Images of handles turn as their handles do.
-        let turns = (free.iter())
-            .filter_map(|&hold| Some((handles.set.handles.get(hold)?, transforms[hold].rotation)))
-            .map(|(handle, rotation)| FoundTurn {
-                id: handle.id.clone(),
-                rotation,
-            })
-            .collect();
+        let turns = handles.found_turns(&free, &transforms);
         *solutions += 1;
         let id = ShapeId::solution(derived.lineage.id, *solutions);
         match mode {

@@ -90,7 +90,7 @@ pub(super) struct PoseMessage {
     pub probe: Option<ShapeProbe>,
     #[prost(message, optional, tag = "5")]
     pub frame: Option<FrameMessage>,
-    /// Absent in records of the time when they were not told.
+    /// Absent in records of the time when they were not returned.
     #[prost(message, repeated, tag = "6")]
     pub found_turns: Vec<pb::FoundTurn>,
 }
