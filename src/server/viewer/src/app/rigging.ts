@@ -58,6 +58,8 @@ export const finding = signal(false);
 /** Joints that the user has put somewhere, by name: they hold for this model's next rigs, too. */
 let given: Record<string, Vector> = {};
 let givenFor: unknown;
+/** The search that is under way: a joint that is put elsewhere begins it again. */
+let search: AbortController | undefined;
 
 /** The places that joints were given in this model. */
 function corrections(): Record<string, Vector> {
@@ -98,16 +100,18 @@ export function closeRig(): void {
   bringBack();
 }
 
-async function make(bvh: Blob | undefined): Promise<schema.MakeRigResponse> {
+async function make(bvh: Blob | undefined, call: { signal?: AbortSignal } = {}): Promise<schema.MakeRigResponse> {
   const open = s.doc.peek();
   if (open === undefined) throw new Error("no model is open");
-  return open.session.makeRig({ joints: corrections(), ...(bvh !== undefined && { bvh: await firstFrames(bvh) }) });
+  return open.session.makeRig({ joints: corrections(), ...(bvh !== undefined && { bvh: await firstFrames(bvh) }) }, call);
 }
 
 async function found(source: ClipSource, quietly = false): Promise<Rigging | undefined> {
+  search?.abort();
+  const mine = (search = new AbortController());
   finding.value = true;
   try {
-    const answer = await make(source.bvh);
+    const answer = await make(source.bvh, { signal: mine.signal });
     const rig = plain(answer);
     const joints = answer.joints.map(({ name, at: [x = 0, y = 0, z = 0], score, doubtful, reason }) => ({
       ...{ name, score, doubtful, reason },
@@ -116,10 +120,10 @@ async function found(source: ClipSource, quietly = false): Promise<Rigging | und
     }));
     return { source, joints, bones: bonesOf(rig), rig, own: false, movable: answer.source !== "skin" };
   } catch (error) {
-    if (!quietly) s.fail("No joints were found", error);
+    if (!quietly && search === mine) s.fail("No joints were found", error);
     return undefined;
   } finally {
-    finding.value = false;
+    if (search === mine) finding.value = false;
   }
 }
 
@@ -158,7 +162,9 @@ async function dropped(name: string): Promise<void> {
   }
   const { [name]: before } = corrections();
   corrections()[name] = joint.at;
-  if (await findAgain(shown)) return;
+  const found = await findAgain(shown);
+  // Another joint was put meanwhile: its search knows this one, too.
+  if (found || finding.peek()) return;
   // What the server refuses is as it was.
   if (before === undefined) delete corrections()[name];
   else corrections()[name] = before;

@@ -69,6 +69,10 @@ export class Surface {
     this.marks = new THREE.Mesh(new THREE.BufferGeometry(), MARKS);
     this.marks.frustumCulled = false;
     this.marks.visible = false;
+    const behind = new THREE.Mesh(this.marks.geometry, MARKS_BEHIND);
+    behind.frustumCulled = false;
+    behind.renderOrder = 1;
+    this.marks.add(behind);
     this.object.add(this.mesh, this.wire, this.marks);
     if (topology.normals === undefined) this.shade(true);
   }
@@ -186,6 +190,8 @@ export class Surface {
 
 /** Of triangles that cross others newly, and of those that did in the rest pose. */
 const MARKS = [0xe5342b, 0xe0a13a].map((color) => new THREE.MeshBasicMaterial({ color, side: THREE.DoubleSide }));
+/** The same through what lies before them: most of what crosses is inside of something. */
+const MARKS_BEHIND = MARKS.map(({ color, side }) => new THREE.MeshBasicMaterial({ color, side, transparent: true, opacity: 0.45, depthTest: false }));
 
 function dynamic(attribute: THREE.BufferAttribute): THREE.BufferAttribute {
   attribute.setUsage(THREE.DynamicDrawUsage);

@@ -35,19 +35,28 @@ export function RigBar(): JSX.Element | null {
       </div>
       {unsure && (
         <ul class="doubts">
-          {doubtful.slice(0, 4).map(({ name, score, reason }) => (
-            <li key={name}>
-              <b>{name}</b> {score?.toFixed(2)} {reason}
+          {[...reasonsOf(doubtful)].map(([reason, names]) => (
+            <li key={reason}>
+              <b>{names.join(", ")}</b> {reason}
             </li>
           ))}
-          {doubtful.length > 4 && <li>and {doubtful.length - 4} more</li>}
         </ul>
       )}
       <p class="hint">
         {movable
-          ? "Drag joints that are not sure (red) along the screen to where they belong, or click those that are right. Green joints are found, blue ones put by hand."
+          ? "Drag red joints to where they belong, or click those that are right. Blue ones are put by hand."
           : "These are the joints of the model's own skin."}
       </p>
     </div>
   );
+}
+
+/** Joints by what speaks against them. */
+function reasonsOf(doubtful: readonly r.RigJoint[]): ReadonlyMap<string, string[]> {
+  const names = new Map<string, string[]>();
+  for (const { name, reason, score } of doubtful) {
+    const why = `${score?.toFixed(2)}: ${reason}`;
+    names.set(why, [...(names.get(why) ?? []), name]);
+  }
+  return names;
 }
