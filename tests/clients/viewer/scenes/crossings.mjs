@@ -25,7 +25,7 @@ export async function play({ browser, url, server, log }) {
   log(`${crossings} triangles cross others`);
   await sheet.page.getByText(/triangles cross another since the rest pose/).waitFor();
   await sheet.picture("crossings");
-  await sheet.key("Control+z");
+  await sheet.page.getByRole("button", { name: /^Undo/ }).click();
   await sheet.until("fewer after undo", (state) => state.crossings >= 0 && state.crossings < crossings);
   await sheet.page.getByRole("radio", { name: "plain" }).click();
   await sheet.until("not looked for", (state) => state.crossings === -1);

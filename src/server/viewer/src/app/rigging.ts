@@ -58,8 +58,8 @@ export const finding = signal(false);
 /** Joints that the user has put somewhere, by name: they hold for this model's next rigs, too. */
 let given: Record<string, Vector> = {};
 let givenFor: unknown;
-/** The search that is under way: a joint that is put elsewhere begins it again. */
-let search: AbortController | undefined;
+/** Whether a joint was put somewhere while the server was at work. */
+let again = false;
 
 /** The places that joints were given in this model. */
 function corrections(): Record<string, Vector> {
@@ -100,30 +100,28 @@ export function closeRig(): void {
   bringBack();
 }
 
-async function make(bvh: Blob | undefined, call: { signal?: AbortSignal } = {}): Promise<schema.MakeRigResponse> {
+async function make(bvh: Blob | undefined): Promise<schema.MakeRigResponse> {
   const open = s.doc.peek();
   if (open === undefined) throw new Error("no model is open");
-  return open.session.makeRig({ joints: corrections(), ...(bvh !== undefined && { bvh: await firstFrames(bvh) }) }, call);
+  return open.session.makeRig({ joints: corrections(), ...(bvh !== undefined && { bvh: await firstFrames(bvh) }) });
 }
 
 async function found(source: ClipSource, quietly = false): Promise<Rigging | undefined> {
-  search?.abort();
-  const mine = (search = new AbortController());
   finding.value = true;
   try {
-    const answer = await make(source.bvh, { signal: mine.signal });
+    const answer = await make(source.bvh);
     const rig = plain(answer);
-    const joints = answer.joints.map(({ name, at: [x = 0, y = 0, z = 0], score, doubtful, reason }) => ({
-      ...{ name, score, doubtful, reason },
-      at: [x, y, z] as const,
-      given: name in corrections(),
-    }));
+    const joints = answer.joints.map(({ name, at: [x = 0, y = 0, z = 0], score, doubtful, reason }): RigJoint => {
+      // It may have been put there after the server was asked.
+      const { [name]: own } = corrections();
+      return own === undefined ? { name, score, doubtful, reason, at: [x, y, z], given: false } : { name, score: 1, doubtful: false, reason: "", at: own, given: true };
+    });
     return { source, joints, bones: bonesOf(rig), rig, own: false, movable: answer.source !== "skin" };
   } catch (error) {
-    if (!quietly && search === mine) s.fail("No joints were found", error);
+    if (!quietly) s.fail("No joints were found", error);
     return undefined;
   } finally {
-    if (search === mine) finding.value = false;
+    finding.value = false;
   }
 }
 
@@ -162,13 +160,19 @@ async function dropped(name: string): Promise<void> {
   }
   const { [name]: before } = corrections();
   corrections()[name] = joint.at;
-  const found = await findAgain(shown);
-  // Another joint was put meanwhile: its search knows this one, too.
-  if (found || finding.peek()) return;
-  // What the server refuses is as it was.
-  if (before === undefined) delete corrections()[name];
-  else corrections()[name] = before;
-  await findAgain(shown);
+  // One search at a time: the next one knows all that was put meanwhile.
+  again = finding.peek();
+  if (again) return;
+  do {
+    again = false;
+    const found = await findAgain(shown);
+    if (!found && !again) {
+      // What the server refuses is as it was.
+      if (before === undefined) delete corrections()[name];
+      else corrections()[name] = before;
+      await findAgain(shown);
+    }
+  } while (again);
 }
 
 /** Takes all corrections back. */
