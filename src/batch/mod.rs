@@ -143,7 +143,6 @@ pub fn run_and_write(
         shape: ModelShape { positions, turns, .. },
         ..
     } = batch;
-    let pulled = deformer.pose_warnings(&poses);
     let written = deformer.write(&positions, format.unwrap_or(deformer.model().format), &exec)?;
     if let (Some(step), Some(ms)) = (steps.last_mut(), stages.take_stage_ms().remove("encode")) {
         step.ms.insert("encode".into(), ms);
@@ -153,7 +152,7 @@ pub fn run_and_write(
     let (passengers, carried) = riders.write_files(&deformer.carry_nodes(&positions, &exec)?)?;
     let mut warnings = facts.warnings;
     warnings.extend(large_faces_warning(&quality));
-    warnings.extend(pulled.iter().map(warning_message));
+    warnings.extend(deformer.pose_warnings(&poses).iter().map(warning_message));
     warnings.extend(idle.iter().map(|id| idle_handle_warning(id)));
     let report = pb::Report {
         passengers,
