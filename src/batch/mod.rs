@@ -10,8 +10,9 @@ use super::engine::{
 use super::exec::Exec;
 use super::progress::Progress as _;
 use super::wire::{
-    DeformOptions, Error, change_poses, edit, edit_name, edit_result, followed_message, handle_set, open_options, pb,
-    quality_message, session_message, warning_message, written_warnings,
+    DeformOptions, Error, add_found_turns, change_poses, edit, edit_name, edit_result, followed_message,
+    found_turns_message, handle_set, open_options, pb, quality_message, session_message, warning_message,
+    written_warnings,
 };
 use crate::exec::stage_clock::StageClock;
 use crate::wire::pb::step::Step;
@@ -140,19 +141,19 @@ pub fn run_and_write(
         poses,
         riders,
         idle,
-        shape: ModelShape { positions, .. },
+        shape: ModelShape { positions, turns, .. },
         ..
     } = batch;
-    let pulled = deformer.pose_warnings(&poses);
     let written = deformer.write(&positions, format.unwrap_or(deformer.model().format), &exec)?;
     if let (Some(step), Some(ms)) = (steps.last_mut(), stages.take_stage_ms().remove("encode")) {
         step.ms.insert("encode".into(), ms);
     }
-    let facts = session_message(&deformer.facts());
+    let mut facts = session_message(&deformer.facts());
+    add_found_turns(&mut facts.handles, &found_turns_message(&turns));
     let (passengers, carried) = riders.write_files(&deformer.carry_nodes(&positions, &exec)?)?;
     let mut warnings = facts.warnings;
     warnings.extend(large_faces_warning(&quality));
-    warnings.extend(pulled.iter().map(warning_message));
+    warnings.extend(deformer.pose_warnings(&poses).iter().map(warning_message));
     warnings.extend((idle.iter().map(|id| idle_handle_warning(id))).chain(warnings_of_files(&written, &carried)));
     let report = pb::Report {
         passengers,

@@ -310,6 +310,7 @@ fn commits() -> Vec<Vec<u8>> {
             poses: poses.clone(),
             settings: SolveSettings::default(),
             warnings: Vec::new(),
+            found_turns: Vec::new(),
             probe: probe.clone(),
             frame: None,
         },

@@ -2,9 +2,11 @@
 
 mod carry;
 mod connections;
+mod crossings;
 mod ledger;
 mod operators;
 mod problems;
+mod rig;
 mod transfers;
 
 use crate::support::server::*;

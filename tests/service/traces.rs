@@ -83,6 +83,8 @@ fn call_of(work: WorkKind) -> Option<&'static str> {
         WorkKind::History => "/v1/sessions/{id}/undo",
         WorkKind::Export => "/v1/sessions/{id}/model",
         WorkKind::Carry => "/v1/sessions/{id}/carry",
+        WorkKind::Rig => "/v1/sessions/{id}/rig",
+        WorkKind::Crossings => "/v1/sessions/{id}/crossings",
         WorkKind::Animate | WorkKind::Frame | WorkKind::Clip => "/v1/sessions/{id}/animations",
         WorkKind::Settle => return None,
     })
@@ -185,6 +187,9 @@ async fn work_of_every_kind_has_its_own_name_below_the_call_that_asked_for_it() 
     server
         .done("POST", &path("carry"), Some(&json!({"points": [0, 0, 0]})))
         .await;
+    server.done("POST", &path("crossings"), Some(&json!({}))).await;
+    // The bar is not a figure; the search is done all the same.
+    server.call_with_key("POST", &path("rig"), Some(&json!({})), None).await;
     let mut stream = server.socket(&path("stream")).await;
     stream.send(Message::Pose(turned(1, 0.2, false))).await;
     assert!(matches!(stream.next().await, Came::Response(_)));

@@ -2,7 +2,7 @@
 
 use super::picture_args::{FrameColour, FramePicture};
 use super::play::{FrameTaker, PlayedAnimation};
-use crate::cli::drawing::{DrawnShape, SeenShape, crossing_words, crossings_of, heat_colours};
+use crate::cli::drawing::{DrawnShape, SeenShape, crossing_words, crossings_by_triangle, heat_colours};
 use crate::cli::terminal::CliFailure;
 use crate::engine::{AnimatedFrame, bind_model, influences_of_skin};
 use crate::exec::Exec;
@@ -178,7 +178,7 @@ impl<'a> PicturedFrames<'a> {
                 self.drawn.colour_vertices(surface, &colours)?
             }
             FrameColour::Crossings => {
-                let crossings = crossings_of(positions, Some(rest), &self.triangles, pool)?;
+                let crossings = crossings_by_triangle(positions, Some(rest), &self.triangles, pool)?;
                 sizes.resize(positions.len(), 0.0);
                 for (t, crossing) in self.triangles.iter().zip(&crossings) {
                     t.iter()

@@ -1,7 +1,7 @@
 //! What the colours of a picture show, and what they are.
 
 use super::input::ModelToDraw;
-use crate::cli::drawing::{crossing_words, crossings_of, heat_colours};
+use crate::cli::drawing::{crossing_words, crossings_by_triangle, heat_colours};
 use crate::cli::input_files::in_file;
 use crate::cli::terminal::CliFailure;
 use crate::mesh::Crossing;
@@ -84,7 +84,7 @@ impl Measured {
             (ColourChoice::Distortion, Some(rest)) => Self::Values(edge_stretch(rest, now, triangles).map_err(refuse)?),
             (ColourChoice::Difference, Some(rest)) => Self::Values(vertex_displacements(rest, now).map_err(refuse)?),
             (ColourChoice::Crossings, rest) => {
-                Self::Crossings(crossings_of(now, rest, triangles, pool).map_err(refuse)?)
+                Self::Crossings(crossings_by_triangle(now, rest, triangles, pool).map_err(refuse)?)
             }
             _ => Self::Nothing,
         })

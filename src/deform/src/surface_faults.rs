@@ -5,9 +5,9 @@ use glam::DVec3;
 use pliant_exec::Exec;
 use pliant_exec::pool::Pool;
 use pliant_exec::progress::Cancelled;
-use pliant_mesh::{Mesh, crossings_of, is_crossing};
+use pliant_mesh::{Mesh, is_crossing, visit_crossings};
 use rayon::prelude::*;
-use std::sync::OnceLock;
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 /// Neighbours are folded onto each other where the cosine of the angle between their normals is below this (120°), and was above 0
 /// in the rest pose.
@@ -109,8 +109,15 @@ impl<'a> FreeSurface<'a> {
         let Mesh {
             positions, triangles, ..
         } = self.mesh;
-        let mut found = crossings_of(now, triangles, is_asked, exec)?;
-        found.retain(|&pair| !is_crossing(positions, triangles, pair));
+        let found = Mutex::new(Vec::new());
+        let keep_new = |pair| {
+            if !is_crossing(positions, triangles, pair) {
+                found.lock().unwrap_or_else(PoisonError::into_inner).push(pair);
+            }
+        };
+        visit_crossings(now, triangles, Some(is_asked), &keep_new, exec)?;
+        let mut found = found.into_inner().unwrap_or_else(PoisonError::into_inner);
+        found.sort_unstable();
         Ok(found)
     }
 }

@@ -3,12 +3,14 @@
 //! Positions are rounded to 32 bits first, which is what frames and most formats carry; differences of such numbers
 //! and the signs of the volumes made of them are then taken in 64 bits. Touching is not crossing.
 
+use crate::Mesh;
 use crate::measure::BoundingBox;
 use crate::query::bvh::TriangleBvh;
 use glam::DVec3;
 use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
 use rayon::prelude::*;
+use std::borrow::Cow;
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 
 /// Triangles looked at in one piece of work.
@@ -30,10 +32,10 @@ const BLOCK: usize = 16;
 /// When a triangle names a position that does not exist. Triangles of a [`super::Mesh`] never do.
 pub fn self_intersections(positions: &[DVec3], triangles: &[[u32; 3]], exec: &Exec<'_>) -> Result<u64, Cancelled> {
     let count = AtomicU64::new(0);
-    let count_one = |_, _| {
+    let count_one = |_| {
         count.fetch_add(1, Ordering::Relaxed);
     };
-    visit_crossings(positions, triangles, &count_one, exec)?;
+    visit_crossings(positions, triangles, None, &count_one, exec)?;
     Ok(count.into_inner())
 }
 
@@ -65,17 +67,17 @@ pub fn crossing_triangles(
 ) -> Result<Vec<Crossing>, Cancelled> {
     let rest: Option<Vec<DVec3>> = rest.map(|rest| rest.iter().map(|p| p.as_vec3().as_dvec3()).collect());
     let found: Vec<AtomicU8> = triangles.iter().map(|_| AtomicU8::new(0)).collect();
-    let note = |f: u32, g: u32| {
+    let note = |pair: [u32; 2]| {
         let is_old = rest.as_ref().is_some_and(|rest| {
-            let [a, b] = [f.min(g), f.max(g)].map(|t| triangles[t as usize]);
+            let [a, b] = pair.map(|t| triangles[t as usize]);
             do_cross(rest, a, b)
         });
-        for t in [f, g] {
+        for t in pair {
             // The largest of all that are noted does not depend on their order.
             found[t as usize].fetch_max(if is_old { 1 } else { 2 }, Ordering::Relaxed);
         }
     };
-    visit_crossings(positions, triangles, &note, exec)?;
+    visit_crossings(positions, triangles, None, &note, exec)?;
     let of_number = |number: AtomicU8| match number.into_inner() {
         0 => Crossing::None,
         1 => Crossing::AtRest,
@@ -84,91 +86,97 @@ pub fn crossing_triangles(
     Ok(found.into_iter().map(of_number).collect())
 }
 
-/// Hands each pair of triangles that cross to `visit` once, from any thread and in any order.
-fn visit_crossings(
-    positions: &[DVec3],
-    triangles: &[[u32; 3]],
-    visit: &(impl Fn(u32, u32) + Sync),
-    exec: &Exec<'_>,
-) -> Result<(), Cancelled> {
-    if triangles.len() < 2 {
-        return Ok(());
+impl Mesh {
+    /// [`crossing_triangles`] of a shape of the model that the mesh was built of, one for each of its `triangles`. `positions`, and
+    /// `rest` where it is given, are those of the model's vertices; seams are closed as in the mesh.
+    ///
+    /// # Errors
+    /// [`Cancelled`] when `progress` says so.
+    ///
+    /// # Panics
+    /// When there are fewer positions or triangles than the model has.
+    pub fn crossing_triangles(
+        &self,
+        positions: &[DVec3],
+        rest: Option<&[DVec3]>,
+        triangles: usize,
+        exec: &Exec<'_>,
+    ) -> Result<Vec<Crossing>, Cancelled> {
+        let welded = |positions: &[DVec3]| -> Vec<DVec3> {
+            let first = |s: u32| self.render_vertices_of(s).first().map(|&v| positions[v as usize]);
+            let count = self.positions.len() as u32;
+            (0..count).map(|s| first(s).unwrap_or_default()).collect()
+        };
+        let (now, before) = (welded(positions), rest.map(welded));
+        let found = crossing_triangles(&now, before.as_deref(), &self.triangles, exec)?;
+        let mut of_model = vec![Crossing::None; triangles];
+        for (&source, crossing) in self.source_triangle.iter().zip(found) {
+            of_model[source as usize] = crossing;
+        }
+        Ok(of_model)
     }
-    exec.pool.install(|| {
-        let points: Vec<DVec3> = positions.par_iter().map(|p| p.as_vec3().as_dvec3()).collect();
-        let surface = BoxedTriangles::build(&points, triangles, exec);
-        exec.check()?;
-        (0..triangles.len().div_ceil(BLOCK))
-            .into_par_iter()
-            .try_for_each(|block| {
-                let mut places = block * BLOCK..((block + 1) * BLOCK).min(triangles.len());
-                // A triangle meets every other one at worst.
-                places.try_for_each(|place| {
-                    exec.check()?;
-                    let order = surface.bvh.triangle_order();
-                    surface.for_crossings(place, place + 1, |other| visit(order[place], order[other]));
-                    Ok(())
-                })
-            })
-    })
 }
 
-/// The pairs of triangles that cross and of which at least one `is_asked` for, each with the smaller number first, rising. What
-/// crosses, and the time that it takes, are those of [`self_intersections`]; triangles far from all that are asked for cost next
-/// to nothing.
+/// Hands each pair of triangles that cross to `visit` once, the smaller number first, from any thread and in any order; with `is_asked`
+/// those pairs alone of which at least one is asked for. What crosses, and the time that it takes, are those of
+/// [`self_intersections`]; triangles far from all that are asked for cost next to nothing.
 ///
 /// # Errors
 /// [`Cancelled`] when `progress` says so.
 ///
 /// # Panics
 /// When a triangle names a position that does not exist, or `is_asked` has not one entry for each.
-pub fn crossings_of(
+pub fn visit_crossings(
     positions: &[DVec3],
     triangles: &[[u32; 3]],
-    is_asked: &[bool],
+    is_asked: Option<&[bool]>,
+    visit: &(impl Fn([u32; 2]) + Sync),
     exec: &Exec<'_>,
-) -> Result<Vec<[u32; 2]>, Cancelled> {
-    let asked: Vec<u32> = (0..triangles.len() as u32).filter(|&t| is_asked[t as usize]).collect();
-    if asked.is_empty() {
-        return Ok(Vec::new());
-    }
+) -> Result<(), Cancelled> {
+    let asked = |t: u32| is_asked.is_none_or(|is_asked| is_asked[t as usize]);
+    let all = || (0..triangles.len() as u32).into_par_iter();
     exec.pool.install(|| {
         let points: Vec<DVec3> = positions.par_iter().map(|p| p.as_vec3().as_dvec3()).collect();
         let box_of = |t: u32| BoundingBox::of(&triangles[t as usize].map(|v| points[v as usize]));
-        let around = asked.iter().map(|&t| box_of(t)).reduce(|a, b| BoundingBox {
+        let joined = |a: BoundingBox, b: BoundingBox| BoundingBox {
             min: a.min.min(b.min),
             max: a.max.max(b.max),
+        };
+        let near: Option<Vec<u32>> = is_asked.map(|_| {
+            let around = all().filter(|&t| asked(t)).map(box_of).reduce_with(joined);
+            let is_near = |t: u32| around.as_ref().is_some_and(|around| around.overlaps(&box_of(t)));
+            all().filter(|&t| asked(t) || is_near(t)).collect()
         });
-        let near: Vec<u32> = (0..triangles.len() as u32)
-            .into_par_iter()
-            .filter(|&t| is_asked[t as usize] || around.as_ref().is_some_and(|around| around.overlaps(&box_of(t))))
-            .collect();
-        let corners: Vec<[u32; 3]> = near.iter().map(|&t| triangles[t as usize]).collect();
+        let corners: Cow<'_, [[u32; 3]]> = match &near {
+            None => triangles.into(),
+            Some(near) => near.iter().map(|&t| triangles[t as usize]).collect(),
+        };
+        if corners.len() < 2 {
+            return Ok(());
+        }
         let surface = BoxedTriangles::build(&points, &corners, exec);
         exec.check()?;
         let order = surface.bvh.triangle_order();
-        let places: Vec<usize> = (0..order.len())
-            .filter(|&p| is_asked[near[order[p] as usize] as usize])
-            .collect();
-        let found: Result<Vec<Vec<[u32; 2]>>, Cancelled> = places
-            .par_chunks(BLOCK)
-            .map(|places| {
-                let mut found = Vec::new();
-                for &place in places {
-                    exec.check()?;
-                    surface.for_crossings(place, 0, |other| {
-                        let [own, theirs] = [place, other].map(|p| near[order[p] as usize]);
-                        if !is_asked[theirs as usize] || own < theirs {
-                            found.push([own.min(theirs), own.max(theirs)]);
-                        }
-                    });
-                }
-                Ok(found)
+        let number = |place: usize| {
+            let own = order[place];
+            near.as_ref().map_or(own, |near| near[own as usize])
+        };
+        let places: Vec<usize> = (0..order.len()).filter(|&place| asked(number(place))).collect();
+        places.par_chunks(BLOCK).try_for_each(|places| {
+            // A triangle meets every other one at worst.
+            places.iter().try_for_each(|&place| {
+                exec.check()?;
+                // Where all are asked for, each pair is met from the first of the two.
+                let from = if is_asked.is_none() { place + 1 } else { 0 };
+                surface.for_crossings(place, from, |other| {
+                    let (own, theirs) = (number(place), number(other));
+                    if from > 0 || !asked(theirs) || own < theirs {
+                        visit([own.min(theirs), own.max(theirs)]);
+                    }
+                });
+                Ok(())
             })
-            .collect();
-        let mut pairs = found?.concat();
-        pairs.sort_unstable();
-        Ok(pairs)
+        })
     })
 }
 
@@ -269,6 +277,7 @@ mod tests {
     use super::*;
     use pliant_exec::pool::Pool;
     use pliant_exec::progress::{CancelFlag, Silent};
+    use std::sync::Mutex;
 
     fn pool() -> Pool {
         Pool::new(2).expect("two threads")
@@ -289,11 +298,16 @@ mod tests {
         let exec = Exec::new(&exec_pool, &Silent);
         let asked = |is_asked: &dyn Fn(usize) -> bool| {
             let is_asked: Vec<bool> = (0..triangles.len()).map(is_asked).collect();
-            crossings_of(&positions, &triangles, &is_asked, &exec).expect("no cancel")
+            let found = Mutex::new(Vec::new());
+            let keep = |pair| found.lock().expect("no panic").push(pair);
+            visit_crossings(&positions, &triangles, Some(&is_asked), &keep, &exec).expect("no cancel");
+            let mut found = found.into_inner().expect("no panic");
+            found.sort_unstable();
+            found
         };
         let all = asked(&|_| true);
         assert_eq!(all.len() as u64, count(&positions, &triangles));
-        assert!(all.is_sorted() && all.iter().all(|&pair| is_crossing(&positions, &triangles, pair)));
+        assert!(all.is_sorted_by(|a, b| a < b) && all.iter().all(|&pair| is_crossing(&positions, &triangles, pair)));
         assert!(asked(&|_| false).is_empty());
         let some = |t: usize| t.is_multiple_of(5);
         let expected = all

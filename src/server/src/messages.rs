@@ -28,7 +28,14 @@ macro_rules! names_session {
     )*};
 }
 
-names_session!(SetHandlesRequest, SolveRequest, EditRequest, CarryRequest);
+names_session!(
+    SetHandlesRequest,
+    SolveRequest,
+    EditRequest,
+    CarryRequest,
+    CrossingsRequest,
+    MakeRigRequest
+);
 
 /// A session as its owner sees it, with the limits of the server.
 pub(super) fn described_session(mut session: pb::Session, config: &SessionConfig) -> pb::Session {

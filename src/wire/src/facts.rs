@@ -9,7 +9,7 @@ use pliant_asset::{
     BoneLengthRule, FollowedCounts, Following, MorphTargetRule, Primitive, RigRule, WrittenFiles, WrittenWarning,
 };
 use pliant_core::engine::{
-    DeformerFacts, DeformerWarning, HandlePose, HandlePoses, LoosePart, QualityReport, WarningPlace,
+    DeformerFacts, DeformerWarning, FoundTurn, HandlePose, HandlePoses, LoosePart, QualityReport, WarningPlace,
 };
 
 /// Writes the facts of a session's model, solver and handles; the caller adds id, revision, times and limits.
@@ -47,6 +47,7 @@ pub fn session_message(facts: &DeformerFacts) -> pb::Session {
                 centroid: h.centroid.to_array().to_vec(),
                 pivot: h.pivot.to_array().to_vec(),
                 pose: None,
+                found_turn: Vec::new(),
             })
             .collect(),
         ..Default::default()
@@ -57,6 +58,23 @@ pub fn session_message(facts: &DeformerFacts) -> pb::Session {
 pub fn handle_poses_message(handles: &mut [pb::HandleFacts], poses: &HandlePoses) {
     for (handle, pose) in handles.iter_mut().zip(poses.0.iter()) {
         handle.pose = (*pose != HandlePose::default()).then(|| handle_pose_message(pose));
+    }
+}
+
+/// Writes the rotations that were found for handles that turn freely.
+pub fn found_turns_message(turns: &[FoundTurn]) -> Vec<pb::FoundTurn> {
+    let message = |turn: &FoundTurn| pb::FoundTurn {
+        id: turn.id.clone(),
+        rotation_vector: turn.rotation.to_array().to_vec(),
+    };
+    turns.iter().map(message).collect()
+}
+
+/// Adds these rotations to the handles of a session that they are of; the others have none then.
+pub fn add_found_turns(handles: &mut [pb::HandleFacts], turns: &[pb::FoundTurn]) {
+    for handle in handles {
+        let own = turns.iter().find(|turn| turn.id == handle.id);
+        handle.found_turn = own.map_or_else(Vec::new, |turn| turn.rotation_vector.clone());
     }
 }
 

@@ -9,11 +9,13 @@ mod animate;
 mod calls;
 mod check;
 mod create;
+mod crossings;
 mod edit;
 mod facts;
 pub mod frames;
 mod handles;
 pub mod json;
+mod made_rig;
 mod options;
 mod passengers;
 pub mod pb;
@@ -27,11 +29,15 @@ pub use animate::{
 };
 pub use calls::{PoseCommit, SessionEdit, SessionPage, page_token, pose_commit, session_edit, session_page};
 pub use create::{SessionOptions, open_options, session_options};
+pub use crossings::{CrossingsOrder, crossings_order};
 pub use edit::{edit, edit_name, edit_result};
-pub use facts::{followed_message, written_warnings};
-pub use facts::{handle_poses_message, quality_message, session_message, warning_message};
+pub use facts::{
+    add_found_turns, followed_message, found_turns_message, handle_poses_message, quality_message, session_message,
+    warning_message, written_warnings,
+};
 pub use handles::{HandlePatch, handle_patch};
 pub use handles::{handle_set, handle_set_message, region_message};
+pub use made_rig::{MakeRigOrder, made_rig_message, make_rig_order};
 pub use options::DeformOptions;
 pub use passengers::{CarryOrder, carry_order};
 pub use pliant_core::engine::Error;

@@ -118,6 +118,87 @@ async fn commits_undo_and_replay_to_the_bit() {
 }
 
 #[tokio::test]
+async fn a_set_that_is_sent_again_turns_nothing_that_it_does_not_name() {
+    let fixture = bent(SessionConfig::default()).await;
+    fixture.solve(turned(0.8)).await;
+    let top = |pose: HandlePose| Handle {
+        pose: Some(pose),
+        ..Handle::new("top", Region::half_space([0.0, 0.0, 1.0], 2.7))
+    };
+    let base = || Handle::new("base", Region::half_space([0.0, 0.0, -1.0], -0.3));
+    let ring = || Handle::new("ring", Region::vertices(28..32));
+    let turn = HandlePose::rotation([0.8, 0.0, 0.0]);
+    let still = PoseCommit {
+        changes: vec![],
+        ..turned(0.0)
+    };
+    let before = fixture.positions().await;
+    // The ring lies where the top has turned about: the joint moves up. Then it is taken away, and the joint moves back.
+    for set in [vec![base(), top(turn), ring()], vec![base(), top(turn)]] {
+        fixture.set_handles(HandleSet::from(set)).await;
+        fixture.solve(still.clone()).await;
+        assert_eq!(
+            fixture.positions().await.bytes[44 * 12..],
+            before.bytes[44 * 12..],
+            "the top stays where it is"
+        );
+    }
+    let further = HandlePose::rotation([0.9, 0.0, 0.0]);
+    fixture
+        .set_handles(HandleSet::from([base(), ring(), top(further)]))
+        .await;
+    let told = fixture.facts().await;
+    assert!(told.handles[2].pose.as_ref().is_some_and(|pose| pose.pivot.is_empty()));
+}
+
+#[tokio::test]
+async fn a_turn_that_was_found_is_told_and_a_commit_goes_on_from_that_of_the_drag() {
+    let fixture = bent(SessionConfig::default()).await;
+    let aside = HandlePose::translation([1.2, 0.0, -0.3]).turning_freely();
+    let mut client = fixture.client().await;
+    let mut dragged = Vec::new();
+    for seq in 1..=8 {
+        client.push(posed(seq, vec![("top".into(), aside)], false));
+        dragged = client.frame().await.header.found_turns;
+        client.ack(seq);
+    }
+    assert_eq!((dragged.len(), dragged[0].id.as_str()), (1, "top"));
+    drop(client);
+    let turn = |found: &pb::FoundTurn| glam::DVec3::from_slice(&found.rotation_vector);
+    assert!(
+        turn(&dragged[0]).length() > 0.2,
+        "dragged aside, the top turns: {dragged:?}"
+    );
+    // Said as where the search begins, it is what the commit finds, but for its finer steps.
+    let rest = fixture.positions().await;
+    let commit = PoseCommit {
+        changes: vec![("top".into(), aside.rotated(turn(&dragged[0])))],
+        ..turned(0.0)
+    };
+    let solved = fixture.solve(commit.clone()).await;
+    let found = turn(&solved.frame.header.found_turns[0]);
+    assert!(found.distance(turn(&dragged[0])) < 0.02, "{found} after {dragged:?}");
+    let facts = fixture.facts().await;
+    assert_eq!(facts.handles[1].found_turn, found.to_array());
+    assert!(facts.handles[0].found_turn.is_empty());
+    // It is how the region lies: turned by that about its middle.
+    let read = |bytes: &[u8]| -> Vec<glam::DVec3> {
+        let numbers = bytes
+            .chunks_exact(4)
+            .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]).into());
+        let numbers: Vec<f64> = numbers.collect();
+        numbers.chunks_exact(3).map(glam::DVec3::from_slice).collect()
+    };
+    let now = read(&fixture.positions().await.bytes);
+    let rotation = glam::DQuat::from_scaled_axis(found);
+    let [at_rest, lies] = [read(&rest.bytes), now].map(|shape| shape[51] - shape[48]);
+    assert!((rotation * at_rest).distance(lies) < 1e-5, "{lies}");
+    // The same pose recorded again is the same bits; undone, nothing is turned.
+    assert_eq!(fixture.undo().await.handles[1].found_turn, Vec::<f64>::new());
+    assert_eq!(fixture.solve(commit).await.digest, solved.digest);
+}
+
+#[tokio::test]
 async fn frames_carry_normals_that_turn_with_the_shape() {
     let fixture = bent(small()).await;
     let mut request = turned(1.0);

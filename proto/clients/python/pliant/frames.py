@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,6 +52,8 @@ class Frame:
     superseded: int
     #: Of a committed pose: the shape against the rest shape. Where it is never missing, frames are :class:`SolvedFrame`.
     quality: pb.Quality | None
+    #: The rotations found for handles that turn freely, by id, as axis times angle; in final frames.
+    found_turns: Mapping[str, tuple[float, float, float]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,6 +207,7 @@ class Assembler:
             queue_ms=last.queue_ms,
             superseded=last.superseded,
             quality=last.quality if last.HasField("quality") else None,
+            found_turns={turn.id: tuple(turn.rotation_vector) for turn in last.found_turns},
         )
 
 

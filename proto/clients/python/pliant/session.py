@@ -40,6 +40,8 @@ class Session(Face, Declared):
     export_bytes = blocking(aio.Session.export_bytes)
     carry = blocking(aio.Session.carry)
     carry_model = blocking(aio.Session.carry_model)
+    crossings = blocking(aio.Session.crossings)
+    make_rig = blocking(aio.Session.make_rig)
     edit = blocking(aio.Session.edit)
     undo = blocking(aio.Session.undo)
     redo = blocking(aio.Session.redo)

@@ -6,6 +6,7 @@
 
 import type { Frame as Part, Quality } from "./gen/pliant/v1/pliant_pb.js";
 import { Frame_Attribute as Attribute, Frame_Encoding as Encoding } from "./gen/pliant/v1/pliant_pb.js";
+import type { Vector } from "./rotation.js";
 import { decodeSteps } from "./vertex_codec.js";
 
 /** What is known of a frame beside its numbers. */
@@ -30,6 +31,8 @@ export interface FrameFacts {
   readonly bytes: number;
   /** Of a committed pose: the shape against the rest shape. */
   readonly quality?: Quality;
+  /** The rotations found for handles that turn freely, by id, as axis times angle; in final frames. */
+  readonly foundTurns: ReadonlyMap<string, Vector>;
 }
 
 /** A whole frame, its numbers still packed. */
@@ -44,6 +47,7 @@ export class Frame implements FrameFacts {
   readonly superseded: number;
   readonly bytes: number;
   readonly quality?: Quality;
+  readonly foundTurns: ReadonlyMap<string, Vector>;
   /** Whether it carries only some vertices and thus needs the frames before it. */
   readonly isPartial: boolean;
 
@@ -68,6 +72,7 @@ export class Frame implements FrameFacts {
     if (first.quality !== undefined) {
       this.quality = first.quality;
     }
+    this.foundTurns = new Map(first.foundTurns.map(({ id, rotationVector: [x = 0, y = 0, z = 0] }) => [id, [x, y, z]]));
     this.isPartial = parts.some((part) => part.indices.length > 0 || part.vertexCount === 0);
   }
 

@@ -11,7 +11,7 @@ export { PliantError, statusName } from "./errors.js";
 export { Assembler, Frame, type FrameFacts } from "./frames.js";
 export { regionFrom, regionOf, type PlainRegion, type Point, type RegionKinds, type RegionLike } from "./regions.js";
 export { nearestRotationVector, quaternionOf, turnsOf, type Quaternion, type Vector } from "./rotation.js";
-export { Session, type Carried, type Edit, type Format, type Handle, type HandleField, type PoseEntry, type SetHandles, type SolveOptions, type Solved } from "./session.js";
+export { Session, type Carried, type Edit, type Format, type Handle, type HandleField, type PoseEntry, type RigOrder, type SetHandles, type SolveOptions, type Solved } from "./session.js";
 export { Stream, type StreamEvents, type StreamState, type StreamTotals } from "./stream.js";
 export { Transport, type CallOptions, type Progress, type TransportOptions } from "./transport.js";
 export * as schema from "./gen/pliant/v1/pliant_pb.js";

@@ -1,14 +1,18 @@
 /** One open session: its handles, committed poses, edits, history and exports, and its stream. */
 
 import { create, type MessageInitShape } from "@bufbuild/protobuf";
-import type { EditResult, HistoryResponse, Quality, Session as Facts } from "./gen/pliant/v1/pliant_pb.js";
+import type { CrossingsResponse, EditResult, HistoryResponse, MakeRigResponse, Quality, Session as Facts } from "./gen/pliant/v1/pliant_pb.js";
 import {
   CarryRequestSchema,
   CarryResponseSchema,
+  CrossingsRequestSchema,
+  CrossingsResponseSchema,
   EditRequestSchema,
   EditResultSchema,
   HandleSchema,
   HistoryResponseSchema,
+  MakeRigRequestSchema,
+  MakeRigResponseSchema,
   OptionsSchema,
   Pose_EntrySchema,
   QualitySchema,
@@ -20,6 +24,7 @@ import type { AnimateOptions } from "./animation.js";
 import { Animation, formOf } from "./animation.js";
 import { checkPoses } from "./poses.js";
 import { type RegionLike, regionFrom } from "./regions.js";
+import type { Vector } from "./rotation.js";
 import type { StreamEvents } from "./stream.js";
 import { Stream } from "./stream.js";
 import type { CallOptions, Transport } from "./transport.js";
@@ -39,6 +44,19 @@ export type Edit = Omit<MessageInitShape<typeof EditRequestSchema>, "sessionId" 
 
 /** Fields of a handle that can be cleared. */
 export type HandleField = "constrains" | "stiffness" | "rigid" | "pose" | "falloff";
+
+/** What a rig is made for; what is absent is found. */
+export interface RigOrder {
+  /** A BVH file: its first three frames are enough. */
+  readonly bvh?: Uint8Array;
+  /** Without a recording, whose names joints have. */
+  readonly preset?: "cmu" | "mixamo";
+  /** Places of joints by name. They stay, and joints that depend on them follow. */
+  readonly joints?: Readonly<Record<string, Vector>>;
+  /** From the figure's feet to its head, such as "z" or "-y", and where it faces. */
+  readonly up?: string;
+  readonly front?: string;
+}
 
 /** Formats that a model can be had in. */
 export type Format = "glb" | "gltf" | "obj" | "ply" | "off" | "stl";
@@ -219,6 +237,20 @@ export class Session {
     const json = jsonOf(CarryRequestSchema, { model, format });
     const answer = await this.transport.message(CarryResponseSchema, "POST", this.path("/carry"), { ...call, json });
     return answer.model;
+  }
+
+  /** The triangles of the current shape that cross others, at most `limit` in each list (0: 100,000). Nothing changes. */
+  crossings(limit = 0, call: CallOptions = {}): Promise<CrossingsResponse> {
+    const json = jsonOf(CrossingsRequestSchema, { limit });
+    return this.transport.message(CrossingsResponseSchema, "POST", this.path("/crossings"), { ...call, json });
+  }
+
+  /** The rig that a recording, or a preset, drives the model by, and how sure its joints are. Nothing changes. */
+  makeRig({ bvh, preset, joints = {}, up = "", front = "" }: RigOrder = {}, call: CallOptions = {}): Promise<MakeRigResponse> {
+    const places = Object.fromEntries(Object.entries(joints).map(([name, at]) => [name, { at: [...at] }]));
+    const source = bvh !== undefined ? { case: "bvh" as const, value: bvh } : preset !== undefined ? { case: "preset" as const, value: preset } : undefined;
+    const json = jsonOf(MakeRigRequestSchema, { joints: places, up, front, ...(source && { source }) });
+    return this.transport.message(MakeRigResponseSchema, "POST", this.path("/rig"), { ...call, json });
   }
 
   /** The model in its current shape with all of its files, by name: "" is the main one, others lie beside it (`gltf`). */

@@ -18,7 +18,7 @@ use crate::engine::settings::{DeformerLimits, OpenOptions};
 use crate::engine::shape::{ModelShape, ShapeId, TopologyId};
 use crate::engine::stiff::{farthest_off_rigid, find_hard_parts};
 use crate::exec::Exec;
-use crate::mesh::{Mesh, MeshReport, self_intersections};
+use crate::mesh::{Crossing, Mesh, MeshReport, self_intersections};
 use crate::pool::Pool;
 use crate::reference::SpatialRbf;
 use glam::DVec3;
@@ -193,6 +193,7 @@ impl Deformer {
             id: self.rest_id(),
             positions: Arc::clone(self.rest()),
             stats: PoseStats::default(),
+            turns: Arc::default(),
         }
     }
 
@@ -496,6 +497,16 @@ impl Deformer {
     }
 
     /// Of positions of render vertices those of the solver's vertices.
+    /// What each of the model's triangles crosses in a shape (one position per render vertex); pairs that cross in the rest shape too
+    /// are not new.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`] when `progress` says so.
+    pub fn crossing_triangles(&self, positions: &[DVec3], exec: &Exec<'_>) -> Result<Vec<Crossing>, Error> {
+        let triangles = self.geometry().triangles.len();
+        Ok((self.mesh()).crossing_triangles(positions, Some(self.rest()), triangles, exec)?)
+    }
+
     pub(super) fn welded(&self, positions: &[DVec3]) -> Vec<DVec3> {
         self.derived.welded(positions)
     }

@@ -82,7 +82,7 @@ pub use settings::{
     COMMIT_REFINE, CarriedModel, DeformerLimits, ESTIMATED_MEMORY, KeptApart, OpenOptions, Passenger, PassengerKind,
     Recipe, SolveMode, SolveSettings,
 };
-pub use shape::{ModelShape, Shader, Shading, ShapeId, TopologyId, digest, shading};
+pub use shape::{FoundTurn, ModelShape, Shader, Shading, ShapeId, TopologyId, digest, shading};
 pub use solve::Drag;
 pub use stiff::find_hard_parts;
 pub use topology_state::TopologyState;

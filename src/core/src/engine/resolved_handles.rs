@@ -7,6 +7,7 @@ use super::region_context::{
     MirrorPlane, RegionContext, RegionNodes, holds_nothing, nodes_in_region, region_centroid, vertices_in_region,
     vertices_of_handle,
 };
+use super::shape::FoundTurn;
 use super::stiff::{stiff_nodes, stiff_vertices};
 use crate::deform::{DeformableBody, FreePartPolicy, HandleConstraint, HandleSetup, StiffNodes, Transform};
 use crate::exec::Exec;
@@ -15,6 +16,7 @@ use crate::progress::Cancelled;
 use glam::{DMat3, DVec3};
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
+use std::sync::Arc;
 
 /// Nodes that a falloff reaches between two looks at the progress.
 const CHECKED: u64 = 4096;
@@ -174,6 +176,17 @@ impl ResolvedHandles {
             true => self.centroids[handle],
             false => self.pivots[handle],
         }
+    }
+
+    /// The rotations in `transforms` of the handles among the holds that turn freely; images turn as their handles do.
+    pub fn found_turns(&self, free: &[usize], transforms: &[Transform]) -> Arc<[FoundTurn]> {
+        let turn = |&hold: &usize| {
+            let handle = self.set.handles.get(hold)?;
+            let rotation = transforms[hold].rotation;
+            let id = handle.id.clone();
+            Some(FoundTurn { id, rotation })
+        };
+        free.iter().filter_map(turn).collect()
     }
 
     /// The holds whose rotation is found by the solve, for poses by handle.

@@ -35,6 +35,17 @@ pub struct ModelShape {
     pub positions: Arc<Vec<DVec3>>,
     /// How it was solved; the default where it was not.
     pub stats: PoseStats,
+    /// The rotations that were found for handles that turn freely.
+    pub turns: Arc<[FoundTurn]>,
+}
+
+/// The rotation that a solve has found for a handle with [`HandlePose::free_rotation`](super::HandlePose::free_rotation).
+#[derive(Debug, Clone, PartialEq)]
+pub struct FoundTurn {
+    /// The handle's name.
+    pub id: String,
+    /// Axis times angle in radians; any number of turns counts.
+    pub rotation: DVec3,
 }
 
 impl ModelShape {
@@ -44,6 +55,7 @@ impl ModelShape {
             id: ShapeId::solution(TopologyId::default(), u64::MAX),
             positions,
             stats: PoseStats::default(),
+            turns: Arc::default(),
         }
     }
 }

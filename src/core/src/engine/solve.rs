@@ -175,6 +175,7 @@ impl Deformer {
         }
         exec.progress.begin_pass("render");
         let positions = Arc::new(shape.render(&solved.positions, &solved.frames, &transforms));
+        let turns = handles.found_turns(&free, &transforms);
         *solutions += 1;
         let id = ShapeId::solution(derived.lineage.id, *solutions);
         match mode {
@@ -191,6 +192,7 @@ impl Deformer {
             id,
             positions,
             stats: solved.stats,
+            turns,
         })
     }
 }

@@ -165,6 +165,26 @@ impl Deformer for Calls {
         answer(call.manager.carry(&call.tenant, &call.message.session_id, order).await)
     }
 
+    async fn crossings(&self, request: Request<pb::CrossingsRequest>) -> GrpcAnswer<pb::CrossingsResponse> {
+        let call = Call::read(&self.state, request)?.on_session(&self.state).await?;
+        let order = pliant_wire::crossings_order(&call.message).map_err(status)?;
+        answer(
+            (call.manager)
+                .crossings(&call.tenant, &call.message.session_id, order)
+                .await,
+        )
+    }
+
+    async fn make_rig(&self, request: Request<pb::MakeRigRequest>) -> GrpcAnswer<pb::MakeRigResponse> {
+        let call = Call::read(&self.state, request)?.on_session(&self.state).await?;
+        let order = pliant_wire::make_rig_order(&call.message).map_err(status)?;
+        answer(
+            (call.manager)
+                .make_rig(&call.tenant, &call.message.session_id, order)
+                .await,
+        )
+    }
+
     type AnimateStream = Sent<pb::Frame>;
 
     async fn animate(&self, request: Request<Streaming<pb::AnimateRequest>>) -> GrpcAnswer<Self::AnimateStream> {

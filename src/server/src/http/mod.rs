@@ -65,6 +65,8 @@ fn routes() -> Router<ServerState> {
         .route("/v1/sessions/{id}/solve", post(sessions::solve))
         .route("/v1/sessions/{id}/edits", post(sessions::edit))
         .route("/v1/sessions/{id}/carry", post(sessions::carry))
+        .route("/v1/sessions/{id}/crossings", post(sessions::crossings))
+        .route("/v1/sessions/{id}/rig", post(sessions::rig))
         .route("/v1/sessions/{id}/animations", post(sessions::animate))
         .route("/v1/sessions/{id}/undo", post(sessions::undo))
         .route("/v1/sessions/{id}/redo", post(sessions::redo))

@@ -37,7 +37,7 @@ const FORMAT: (&str, &str) = ("format", "glb, gltf, obj, ply, off or stl");
 const OPENED_FORMAT: (&str, &str) = ("format", "glb, gltf, obj, ply, off, stl or fbx");
 
 /// Every route but the pages for people.
-pub(crate) const ROUTES: [Route; 23] = [
+pub(crate) const ROUTES: [Route; 25] = [
     Route {
         method: "post",
         path: "/v1/sessions",
@@ -154,6 +154,24 @@ pub(crate) const ROUTES: [Route; 23] = [
         summary: "Carry points, and a model, along with the current shape.",
         takes: Some("CarryRequest"),
         gives: Some("CarryResponse"),
+        ..PLAIN
+    },
+    Route {
+        method: "post",
+        path: "/v1/sessions/{id}/crossings",
+        rpc: Some("Crossings"),
+        summary: "Where the surface of the current shape passes through itself.",
+        takes: Some("CrossingsRequest"),
+        gives: Some("CrossingsResponse"),
+        ..PLAIN
+    },
+    Route {
+        method: "post",
+        path: "/v1/sessions/{id}/rig",
+        rpc: Some("MakeRig"),
+        summary: "The rig that a recording, or a preset, drives the model by, and how sure its joints are.",
+        takes: Some("MakeRigRequest"),
+        gives: Some("MakeRigResponse"),
         ..PLAIN
     },
     Route {

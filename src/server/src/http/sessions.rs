@@ -136,6 +136,18 @@ pub(super) async fn carry(call: SessionCall, request: Request) -> Result<Respons
     json(&call.manager.carry(&call.caller.tenant, &call.id, order).await?)
 }
 
+pub(super) async fn crossings(call: SessionCall, request: Request) -> Result<Response, Problem> {
+    let message: pb::CrossingsRequest = call.message(request).await?;
+    let order = pliant_wire::crossings_order(&message)?;
+    json(&call.manager.crossings(&call.caller.tenant, &call.id, order).await?)
+}
+
+pub(super) async fn rig(call: SessionCall, request: Request) -> Result<Response, Problem> {
+    let message: pb::MakeRigRequest = call.message(request).await?;
+    let order = pliant_wire::make_rig_order(&message)?;
+    json(&call.manager.make_rig(&call.caller.tenant, &call.id, order).await?)
+}
+
 const JSON: &str = "application/json";
 const BUFFER: &str = "application/octet-stream";
 

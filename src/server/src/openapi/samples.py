@@ -35,6 +35,14 @@ with session.stream() as stream:
 carried = session.carry([(0.76, 1.22, 0)])
 print(carried.positions)
 
+# crossings
+crossing = session.crossings()
+print(crossing.total)
+
+# makeRig
+made = session.make_rig(preset="mixamo")
+print([joint.name for joint in made.joints if joint.doubtful])
+
 # deleteSessionsIdHandlesHandleId
 session.remove_handle("head")
 session.apply()

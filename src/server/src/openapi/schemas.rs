@@ -163,6 +163,8 @@ pub(super) fn body_example(route: &Route) -> Option<Value> {
         }),
         ("post", "/v1/sessions/{id}/edits") => json!({"subdivide": {"region": head, "scheme": "MIDPOINT"}}),
         ("post", "/v1/sessions/{id}/carry") => json!({"points": [0.76, 1.22, 0]}),
+        ("post", "/v1/sessions/{id}/crossings") => json!({"limit": 1000}),
+        ("post", "/v1/sessions/{id}/rig") => json!({"preset": "mixamo"}),
         ("post", "/v1/sessions/{id}/animations") => json!({"fps": 30, "count": 10}),
         _ => return None,
     };

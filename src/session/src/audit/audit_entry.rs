@@ -26,6 +26,10 @@ pub enum AuditedAction {
     Export,
     /// Something was carried along with it.
     Carry,
+    /// Crossings of its surface were looked for.
+    Crossings,
+    /// A rig was made of its model.
+    Rig,
     /// It was driven by a clip.
     Animate,
     /// It was deleted.
@@ -47,6 +51,8 @@ impl AuditedAction {
             Self::Stream => "stream",
             Self::Export => "export",
             Self::Carry => "carry",
+            Self::Crossings => "crossings",
+            Self::Rig => "rig",
             Self::Animate => "animate",
             Self::Delete => "delete",
             Self::Expire => "expire",

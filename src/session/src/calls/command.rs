@@ -11,7 +11,7 @@ use pliant_asset::Format;
 use pliant_core::engine::{Handle, HandlePose, HandlePoses, HandleSet};
 use pliant_exec::progress::CancelFlag;
 use pliant_wire::record::AnsweredFrame;
-use pliant_wire::{AnimateOrder, CarryOrder, HandlePatch, PoseCommit, SessionEdit, pb};
+use pliant_wire::{AnimateOrder, CarryOrder, CrossingsOrder, HandlePatch, MakeRigOrder, PoseCommit, SessionEdit, pb};
 use prost::Message as _;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -95,6 +95,8 @@ session_calls! {
     Recall: RecallPose => Option<CommittedPose>;
     Export: ExportModel => ExportedModel;
     Carry: CarryOrder => pb::CarryResponse;
+    Crossings: CrossingsOrder => pb::CrossingsResponse;
+    MakeRig: MakeRigOrder => pb::MakeRigResponse;
     Animate: PrepareAnimation => PreparedAnimation;
 }
 
@@ -231,7 +233,7 @@ impl StoredAnswer {
 /// A change of the handles.
 #[derive(Debug)]
 pub(crate) enum HandleChange {
-    /// All are replaced; without a pose: the rest pose.
+    /// All are replaced; without a pose: the rest pose. One that is set again as it is keeps the point that it turns about.
     Replace(HandleSet),
     /// The named fields of one handle are replaced, or it is added. Everything else stays where it is.
     Put(Box<HandlePatch>),
@@ -246,7 +248,7 @@ impl HandleChange {
     /// `NOT_FOUND` when the handle to remove does not exist, `INVALID_ARGUMENT` when one to add has no region.
     pub fn apply_to(self, current: &HandleSet, poses: &HandlePoses) -> Result<HandleSet, Error> {
         match self {
-            Self::Replace(set) => Ok(set),
+            Self::Replace(set) => Ok(keeping_pivots(set, current, poses)),
             Self::Put(patch) => {
                 let mut next = set_at_poses(current, poses);
                 let index = next.handles.iter().position(|h| h.id == patch.id);
@@ -280,6 +282,25 @@ pub(crate) fn with_pivots(poses: &HandlePoses, handles: &[pb::HandleFacts]) -> H
         _ => *pose,
     });
     HandlePoses(Arc::new(pinned.collect()))
+}
+
+/// The set with the pivots of `poses` where a handle, its region and its pose are those of `current`, but for a pivot that the pose
+/// does not name.
+fn keeping_pivots(mut set: HandleSet, current: &HandleSet, poses: &HandlePoses) -> HandleSet {
+    for handle in &mut set.handles {
+        let is_same = |(old, _): &(&Handle, &HandlePose)| old.id == handle.id && old.region == handle.region;
+        let old = current.handles.iter().zip(poses.0.iter()).find(is_same);
+        if let (Some(pose), Some((_, old))) = (&mut handle.pose, old) {
+            let kept = HandlePose {
+                pivot: old.pivot,
+                ..*pose
+            };
+            if pose.pivot.is_none() && kept == *old {
+                *pose = kept;
+            }
+        }
+    }
+    set
 }
 
 /// The set with every handle set where it is now.

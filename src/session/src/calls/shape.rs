@@ -15,7 +15,7 @@ use crate::stream::ends::{StreamInput, StreamOutput, stream_ends};
 use crate::stream::mailbox::Mailbox;
 use pliant_asset::Format;
 use pliant_wire::frames::{FrameOutput, f32_bytes};
-use pliant_wire::{AnimateOrder, CarryOrder, pb};
+use pliant_wire::{AnimateOrder, CarryOrder, CrossingsOrder, MakeRigOrder, pb};
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
 use tracing::Instrument;
@@ -59,6 +59,39 @@ impl Manager {
         let carried = self.call(&session, None, order).await?;
         self.note(tenant, AuditedAction::Carry, id).await;
         Ok(carried)
+    }
+
+    /// Finds the triangles of the current committed shape that cross others. Nothing changes.
+    ///
+    /// # Cancel safety
+    /// Dropping the future stops the search.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`.
+    pub async fn crossings(
+        &self,
+        tenant: &Tenant,
+        id: &str,
+        order: CrossingsOrder,
+    ) -> Result<pb::CrossingsResponse, Error> {
+        let session = self.find(tenant, id).await?;
+        let found = self.call(&session, None, order).await?;
+        self.note(tenant, AuditedAction::Crossings, id).await;
+        Ok(found)
+    }
+
+    /// Makes a rig of a session's model in its rest pose. Nothing changes.
+    ///
+    /// # Cancel safety
+    /// Dropping the future stops the work.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`, `INVALID_ARGUMENT` for a clip that drives no body, or a model that has no place for some joint.
+    pub async fn make_rig(&self, tenant: &Tenant, id: &str, order: MakeRigOrder) -> Result<pb::MakeRigResponse, Error> {
+        let session = self.find(tenant, id).await?;
+        let made = self.call(&session, None, order).await?;
+        self.note(tenant, AuditedAction::Rig, id).await;
+        Ok(made)
     }
 
     /// The current committed positions as one buffer.

@@ -166,6 +166,10 @@ work_kinds! {
     Export "export",
     /// Points or another model are carried along with the shape.
     Carry "carry",
+    /// Crossings of the current shape are looked for.
+    Crossings "crossings",
+    /// A rig is made.
+    Rig "rig",
     /// An animation is prepared.
     Animate "animate",
     /// A frame of an animation is solved.

@@ -9,7 +9,7 @@ use crate::history::session_state::{
     CommittedHandles, EditedState, HandleSetId, PosedState, RecordedShapeId, SessionState, ShapeRecipe,
 };
 use pliant_core::engine::{HandlePoses, HandleSet, ModelShape, TopologyState};
-use pliant_wire::pb;
+use pliant_wire::{add_found_turns, pb};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
@@ -216,11 +216,15 @@ impl CommitHistory {
         let PosedState {
             poses,
             warnings,
+            found_turns,
             settings,
             shape,
             digest,
         } = posed;
-        let state = self.current().clone();
+        let mut state = self.current().clone();
+        if !found_turns.is_empty() || state.facts.handles.iter().any(|h| !h.found_turn.is_empty()) {
+            add_found_turns(&mut Arc::make_mut(&mut state.facts).handles, &found_turns);
+        }
         let recipe = ShapeRecipe::Solved {
             topology: state.topology.clone(),
             handles: Arc::clone(&state.handles),

@@ -32,6 +32,7 @@ fn pose(history: &mut CommitHistory, x: f64) {
     history.commit_pose(PosedState {
         poses: HandlePoses::default(),
         warnings: Vec::new(),
+        found_turns: Vec::new(),
         settings: settings(),
         shape: Some(shape),
         digest: format!("{x}"),

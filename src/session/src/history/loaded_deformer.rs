@@ -15,7 +15,10 @@ use pliant_core::engine::{
 };
 use pliant_exec::Exec;
 use pliant_wire::frames::Frame;
-use pliant_wire::{DeformOptions, SessionEdit, edit_result, pb, quality_message, session_message, warning_message};
+use pliant_wire::{
+    DeformOptions, SessionEdit, add_found_turns, edit_result, found_turns_message, pb, quality_message,
+    session_message, warning_message,
+};
 use std::sync::Arc;
 
 /// The answer to a pose: its last frame, and what is to be committed where that was asked for.
@@ -156,12 +159,14 @@ impl LoadedDeformer {
             self.release_memory();
             return Err(refused);
         }
+        let mut facts = self.facts();
+        add_found_turns(&mut facts.handles, &found_turns_message(&outcome.shape.turns));
         let edited = EditedState {
             topology: self.topology_state(),
             diagonal: self.engine.diagonal(),
             handles: outcome.handles,
             poses: outcome.poses,
-            facts: self.facts(),
+            facts,
             digest: outcome.report.digest.clone(),
             solved_with: outcome.solved,
         };
@@ -245,15 +250,16 @@ impl LoadedDeformer {
         }
         frame.header.solve_ms = ms_of(solve_time);
         Ok(PoseAnswer {
-            frame,
             cycles: solved.stats.cycles,
             commit: Some(PosedState {
                 warnings,
+                found_turns: frame.header.found_turns.clone(),
                 poses,
                 settings: options.solve,
                 digest: digest(&solved.positions),
                 shape: Some(solved),
             }),
+            frame,
         })
     }
 
@@ -270,6 +276,7 @@ impl LoadedDeformer {
         frame.header.r#final = true;
         frame.header.residual = solved.stats.residual;
         frame.header.max_error = solved.stats.max_error;
+        frame.header.found_turns = found_turns_message(&solved.turns);
         frame
     }
 

@@ -36,7 +36,7 @@ pub(crate) struct SessionState {
     pub poses: HandlePoses,
     /// What was noticed of these.
     pub pose_warnings: Arc<Vec<pb::Warning>>,
-    /// What the engine says about model, solver and handles.
+    /// What the engine says about model, solver and handles, with the rotations that were found for these.
     pub facts: Arc<pb::Session>,
     /// The shape.
     pub shape: RecordedShapeId,
@@ -64,6 +64,8 @@ pub(crate) struct PosedState {
     pub poses: HandlePoses,
     /// What a user should know of them.
     pub warnings: Vec<pb::Warning>,
+    /// The rotations that were found for them.
+    pub found_turns: Vec<pb::FoundTurn>,
     /// How they were solved.
     pub settings: SolveSettings,
     /// `None` where it is not at hand: it is solved again when it is asked for.

@@ -2,7 +2,7 @@
 
 use crate::store::{ListedSession, NewSession, Store, StoreError, calendar_text, millis};
 use pliant_wire::record::LoggedCommit;
-use pliant_wire::{handle_poses_message, pb};
+use pliant_wire::{add_found_turns, handle_poses_message, pb};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -107,8 +107,14 @@ pub(crate) fn state_facts(facts: &LoggedCommit, poses: &LoggedCommit) -> Result<
         LoggedCommit::Handles { poses, .. } | LoggedCommit::Edit { poses, .. } => {
             handle_poses_message(&mut session.handles, poses);
         }
-        LoggedCommit::Pose { poses, warnings, .. } => {
+        LoggedCommit::Pose {
+            poses,
+            warnings,
+            found_turns,
+            ..
+        } => {
             session.warnings.extend(warnings.iter().cloned());
+            add_found_turns(&mut session.handles, found_turns);
             handle_poses_message(&mut session.handles, poses);
         }
         LoggedCommit::Step { .. } => return Err(wrong()),

@@ -149,6 +149,7 @@ impl Replay<'_> {
                 poses,
                 settings,
                 warnings,
+                found_turns,
                 probe,
                 ..
             } => {
@@ -175,6 +176,7 @@ impl Replay<'_> {
                 self.history.commit_pose(PosedState {
                     poses: poses.clone(),
                     warnings: warnings.clone(),
+                    found_turns: found_turns.clone(),
                     settings: *settings,
                     shape,
                     digest: now,
@@ -298,6 +300,7 @@ mod tests {
             poses: Default::default(),
             settings: Default::default(),
             warnings: Vec::new(),
+            found_turns: Vec::new(),
             probe: ShapeProbe::default(),
             frame: None,
         };

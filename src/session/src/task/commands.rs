@@ -20,11 +20,16 @@ use crate::stream::frame_window::FrameContext;
 use crate::task::session_task::{SessionTask, no_handles};
 use glam::DVec3;
 use pliant_core::engine;
-use pliant_core::engine::{Animation, ClipSource, Deformer, ModelShape, TopologyState};
+use pliant_core::engine::{
+    Animation, ClipSource, Deformer, ModelShape, RigOrder, TopologyState, left_out_of_rig, make_rig,
+};
 use pliant_exec::Exec;
 use pliant_exec::progress::Progress as _;
+use pliant_motion::bvh::read_bvh;
 use pliant_wire::record::LoggedCommit;
-use pliant_wire::{CarryOrder, DeformOptions, PoseCommit, SessionEdit, pb};
+use pliant_wire::{
+    CarryOrder, CrossingsOrder, DeformOptions, MakeRigOrder, PoseCommit, SessionEdit, made_rig_message, pb,
+};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -71,6 +76,8 @@ impl SessionTask {
             SessionCommand::Recall(call) => self.serve(*call).await,
             SessionCommand::Export(call) => self.serve(*call).await,
             SessionCommand::Carry(call) => self.serve(*call).await,
+            SessionCommand::Crossings(call) => self.serve(*call).await,
+            SessionCommand::MakeRig(call) => self.serve(*call).await,
             SessionCommand::Animate(call) => self.serve(*call).await,
         }
     }
@@ -130,13 +137,13 @@ impl SessionTask {
 }
 impl RunCall for HandleChange {
     async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<pb::Session, Error> {
-        let state = task.history.current();
+        let state = task.history.current().clone();
         let poses = with_pivots(&state.poses, &state.facts.handles);
         let set = self.apply_to(&state.handles.set, &poses)?;
         let limit = task.shared.config.build;
         let topology = state.topology.clone();
         let lane = lane_of_work(state.cost_of_handles(&set) <= LIGHT_HANDLES);
-        let (poses, facts, stages) = loop {
+        let (poses, mut facts, stages) = loop {
             let room = task.memory.room();
             let (set, topology) = (set.clone(), topology.clone());
             let (replaced, watch) = task
@@ -151,6 +158,13 @@ impl RunCall for HandleChange {
                 Err(e) => return Err(task.memory_failure(e, room, &watch)),
             }
         };
+        // The shape stays, and so do the turns that it has.
+        for ((told, handle), pose) in facts.handles.iter_mut().zip(&set.handles).zip(poses.0.iter()) {
+            let old = state.facts.handles.iter().find(|old| old.id == handle.id);
+            if let Some(old) = old.filter(|_| pose.free_rotation) {
+                told.found_turn.clone_from(&old.found_turn);
+            }
+        }
         let commit = || LoggedCommit::Handles {
             set: set.clone(),
             poses: poses.clone(),
@@ -254,6 +268,58 @@ impl RunCall for CarryOrder {
             revision: view.revision,
             ..carried.map_err(|e| task.failure(e, &watch))?
         })
+    }
+}
+
+impl RunCall for CrossingsOrder {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<pb::CrossingsResponse, Error> {
+        let view = task.session.view();
+        let state = task.history.current();
+        let (positions, topology) = (Arc::clone(&view.positions), state.topology.clone());
+        let lane = lane_of_work(state.triangles() <= FEW_TRIANGLES);
+        let limit = task.shared.config.build;
+        let (found, watch) = task
+            .compute(origin.order(WorkKind::Crossings, lane, limit), move |deformer, work| {
+                let exec = work.exec();
+                deformer.go_to_topology(topology.as_ref(), &exec)?;
+                let found = (deformer.deformer("looking for crossings")?).crossing_triangles(&positions, &exec)?;
+                Ok::<_, engine::Error>(self.answer(&found))
+            })
+            .await?;
+        Ok(pb::CrossingsResponse {
+            revision: view.revision,
+            ..found.map_err(|e| task.failure(e, &watch))?
+        })
+    }
+}
+
+impl RunCall for MakeRigOrder {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<pb::MakeRigResponse, Error> {
+        let topology = task.history.current().topology.clone();
+        let (limit, clip_limits) = (task.shared.config.build, task.shared.config.animation_limits().clip);
+        reserve_for_clip(task, self.bvh.as_ref().map_or(0, |bytes| bytes.len()))?;
+        let (made, watch) = task
+            .compute(
+                origin.order(WorkKind::Rig, WorkLane::Builds, limit),
+                move |deformer, work| {
+                    let exec = work.exec();
+                    deformer.go_to_topology(topology.as_ref(), &exec)?;
+                    let clip = self.bvh.map(|bytes| read_bvh(&bytes, &clip_limits)).transpose()?;
+                    let order = RigOrder {
+                        clip: clip.as_ref(),
+                        preset: self.preset.as_deref(),
+                        landmarks: self.landmarks,
+                        up: self.up,
+                        front: self.front,
+                    };
+                    let model = deformer.deformer("making rigs")?.model();
+                    let mut made = make_rig(model, &order, &exec)?;
+                    made.warnings.extend(left_out_of_rig(model)?);
+                    Ok::<_, engine::Error>(made_rig_message(&made))
+                },
+            )
+            .await?;
+        made.map_err(|error| task.failure(error, &watch))
     }
 }
 
@@ -393,6 +459,16 @@ impl RunCall for SessionEdit {
 /// Bytes of memory for each byte of a clip while it is read: a number of two digits is a number, and becomes part of a rotation.
 const BYTES_PER_CLIP_BYTE: u64 = 16;
 
+/// Takes the memory in which a clip of so many bytes is read.
+fn reserve_for_clip(task: &mut SessionTask, bytes: usize) -> Result<(), Error> {
+    let needed = (bytes as u64).saturating_mul(BYTES_PER_CLIP_BYTE);
+    let reserved = task.memory.grow_to(task.memory.bytes().saturating_add(needed));
+    reserved.map_err(|shortage| {
+        let text = format!("reading the clip would need {needed} bytes of memory, and {shortage}");
+        count_refusal(&task.shared, no_place(text))
+    })
+}
+
 /// Handles, shape and history stay as they are.
 impl RunCall for PrepareAnimation {
     async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<PreparedAnimation, Error> {
@@ -401,12 +477,7 @@ impl RunCall for PrepareAnimation {
         let topology = task.history.current().topology.clone();
         let limits = task.shared.config.animation_limits();
         if let ClipSource::Bvh { bytes, .. } = &order.request.clip {
-            let needed = (bytes.len() as u64).saturating_mul(BYTES_PER_CLIP_BYTE);
-            let reserved = task.memory.grow_to(task.memory.bytes().saturating_add(needed));
-            reserved.map_err(|shortage| {
-                let text = format!("reading the clip would need {needed} bytes of memory, and {shortage}");
-                count_refusal(&task.shared, no_place(text))
-            })?;
+            reserve_for_clip(task, bytes.len())?;
         }
         let (prepared, watch) = task
             .compute(

@@ -53,6 +53,7 @@ impl SessionTask {
             poses: posed.poses.clone(),
             settings: posed.settings,
             warnings: posed.warnings.clone(),
+            found_turns: posed.found_turns.clone(),
             probe: ShapeProbe::of(&frame.positions),
             frame: claim.map(|_| {
                 Box::new(AnsweredFrame {

@@ -79,6 +79,8 @@ pub enum LoggedCommit {
         settings: SolveSettings,
         /// What was noticed.
         warnings: Vec<pb::Warning>,
+        /// The rotations that were found.
+        found_turns: Vec<pb::FoundTurn>,
         /// The shape.
         probe: ShapeProbe,
         /// The frame that was answered, for a call with an idempotency key.
@@ -147,6 +149,7 @@ impl LoggedCommit {
                 poses,
                 settings,
                 warnings,
+                found_turns,
                 probe,
                 frame,
             } => CommitKindMessage::Pose(PoseMessage {
@@ -155,6 +158,7 @@ impl LoggedCommit {
                 warnings: warnings.clone(),
                 probe: Some(probe.clone()),
                 frame: frame.as_deref().map(frame_message),
+                found_turns: found_turns.clone(),
             }),
             Self::Edit {
                 edit,
@@ -203,7 +207,10 @@ impl LoggedCommit {
                 settings: recorded_settings(&pose.settings.ok_or_else(|| missing("settings"))?)?,
                 warnings: pose.warnings,
                 probe: pose.probe.unwrap_or_default(),
-                frame: pose.frame.map(|f| recorded_frame(&f).map(Box::new)).transpose()?,
+                frame: (pose.frame)
+                    .map(|f| recorded_frame(&f, &pose.found_turns).map(Box::new))
+                    .transpose()?,
+                found_turns: pose.found_turns,
             },
             CommitKindMessage::Edit(message) => {
                 let request = message.request.ok_or_else(|| missing("edit"))?;
@@ -325,7 +332,7 @@ fn frame_message(frame: &AnsweredFrame) -> FrameMessage {
     }
 }
 
-fn recorded_frame(message: &FrameMessage) -> Result<AnsweredFrame, Error> {
+fn recorded_frame(message: &FrameMessage, found_turns: &[pb::FoundTurn]) -> Result<AnsweredFrame, Error> {
     let output = message.output.unwrap_or_default();
     let encoding = pb::frame::Encoding::try_from(output.encoding)
         .map_err(|_| Error::invalid("frame.output.encoding", "is not an encoding"))?;
@@ -337,6 +344,7 @@ fn recorded_frame(message: &FrameMessage) -> Result<AnsweredFrame, Error> {
             max_error: message.max_error,
             solve_ms: message.solve_ms,
             queue_ms: message.queue_ms,
+            found_turns: found_turns.to_vec(),
             quality: message.quality,
             ..Default::default()
         },

@@ -62,6 +62,10 @@ fn commits() -> Vec<LoggedCommit> {
         })),
         ..Default::default()
     };
+    let turn = pb::FoundTurn {
+        id: "a".into(),
+        rotation_vector: vec![0.0, third, 7.0],
+    };
     vec![
         LoggedCommit::Create { facts: facts() },
         LoggedCommit::Handles {
@@ -78,10 +82,12 @@ fn commits() -> Vec<LoggedCommit> {
                 r#where: "c".into(),
                 ..Default::default()
             }],
+            found_turns: vec![turn.clone()],
             probe: probe.clone(),
             frame: Some(Box::new(AnsweredFrame {
                 header: pb::Frame {
                     seq: 7,
+                    found_turns: vec![turn],
                     r#final: true,
                     residual: third,
                     solve_ms: 1.0,
@@ -108,6 +114,7 @@ fn commits() -> Vec<LoggedCommit> {
                 ..SolveSettings::default()
             },
             warnings: Vec::new(),
+            found_turns: Vec::new(),
             probe: probe.clone(),
             frame: None,
         },

@@ -93,6 +93,9 @@ pub(super) struct PoseMessage {
     pub probe: Option<ShapeProbe>,
     #[prost(message, optional, tag = "5")]
     pub frame: Option<FrameMessage>,
+    /// Absent in records of the time when they were not returned.
+    #[prost(message, repeated, tag = "6")]
+    pub found_turns: Vec<pb::FoundTurn>,
 }
 
 /// How a pose was solved. What is absent was not asked for; no default of a request has a part in it.

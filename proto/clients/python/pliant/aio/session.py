@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, AsyncIterable, AsyncIterator, Awaitable, Callable, Iterable, Sequence
+from collections.abc import AsyncGenerator, AsyncIterable, AsyncIterator, Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import aclosing, suppress
 from pathlib import Path
 from types import TracebackType
@@ -21,6 +21,7 @@ from ..options import SolveFields, options
 from ..poses import Poses
 from ..progress import Meter, ProgressLike
 from ..transport import OnLoop
+from ..values import array, text, whole
 from ..v1 import pliant_pb2 as pb
 from .calls import Calls
 from .player import Animation
@@ -181,6 +182,36 @@ class Session(Declared):
         """
         request = model_request(self.id, model, format)
         return bytes((await self._calls.one("Carry", request)).model)
+
+    async def crossings(self, limit: int = 0) -> pb.CrossingsResponse:
+        """The triangles of the current shape that cross others: ``triangles`` that cross one that they do not cross in the
+        rest shape, and ``at_rest``; at most `limit` in each list (0: 100,000), ``total`` says how many there are.
+        """
+        return await self._calls.one("Crossings", pb.CrossingsRequest(session_id=self.id, limit=whole("limit", limit)))
+
+    async def make_rig(
+        self,
+        bvh: bytes | None = None,
+        *,
+        preset: str | None = None,
+        joints: Mapping[str, Any] | None = None,
+        up: str = "",
+        front: str = "",
+    ) -> pb.MakeRigResponse:
+        """The rig that a recording (the bytes of a BVH file, of which the first three frames are enough) or a preset
+        (``cmu``, ``mixamo``) drives the model by, and how sure its joints are. Nothing changes.
+
+        `joints` are places by name, x, y, z: they stay, and joints that depend on them follow. `up` and `front` say how the
+        figure stands, such as ``z`` and ``-y``.
+        """
+        request = pb.MakeRigRequest(session_id=self.id, up=text("up", up), front=text("front", front))
+        if bvh is not None:
+            request.bvh = bytes(bvh)
+        elif preset is not None:
+            request.preset = text("preset", preset)
+        for name, place in (joints or {}).items():
+            request.joints[name].at.extend(array(f"joints[{name!r}]", place).astype(float).ravel())
+        return await self._calls.one("MakeRig", request)
 
     async def edit(
         self, *, on: Literal["current", "rest"] = "current", **operation: Unpack[edits.EditFields]

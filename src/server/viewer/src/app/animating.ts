@@ -14,6 +14,7 @@ import { bringBack, putAside } from "./intermission.ts";
 import { repaint } from "./painting.ts";
 import { frameEncoding } from "./packing.ts";
 import { playSpeed } from "./playing.ts";
+import { showDoubts } from "./rigging.ts";
 import * as s from "./signals.ts";
 import { view } from "./view.ts";
 
@@ -66,6 +67,8 @@ export interface TooLong {
 
 export const clipOptions = signal<ClipOptions>({ fps: 0, first: 0, count: 0, refine: -1 });
 export const animating = signal<Animating | undefined>(undefined);
+/** What was to be played last, in the model that is open. */
+export const lastSource = signal<ClipSource | undefined>(undefined);
 export const coming = signal<Coming | undefined>(undefined);
 export const tooLong = signal<TooLong | undefined>(undefined);
 export const animationReport = signal<schema.AnimationReport | undefined>(undefined);
@@ -104,6 +107,7 @@ export async function animate(source: ClipSource, options: ClipOptions = clipOpt
     return;
   }
   abort?.abort();
+  lastSource.value = source;
   const mine = (abort = new AbortController());
   s.dismissErrors();
   tooLong.value = undefined;
@@ -172,7 +176,11 @@ async function receive(source: ClipSource, options: ClipOptions, into: Film): Pr
     if (film === into) animationReport.value = animation.report;
   } catch (error) {
     // Another model has taken the place of the one that was to move: nobody waits for its clip.
-    if (!signal.aborted && s.doc.peek()?.session === open.session) s.fail(into.frames.length === 0 ? "The clip cannot be played" : "No more frames arrived", error);
+    if (signal.aborted || s.doc.peek()?.session !== open.session) return;
+    s.fail(into.frames.length === 0 ? "The clip cannot be played" : "No more frames arrived", error);
+    // Joints that are not sure are shown, to be put where they belong.
+    const refused = error instanceof PliantError && error.code === "INVALID_ARGUMENT" && source.bvh !== undefined && source.rig === undefined;
+    if (refused && into.frames.length === 0) await showDoubts(source);
   }
 }
 
@@ -338,6 +346,7 @@ export function installAnimating(): void {
     if (session === undefined || session !== openLast) {
       abort?.abort();
       tooLong.value = undefined;
+      lastSource.value = undefined;
     }
     openLast = session;
   });

@@ -1,7 +1,7 @@
 /** The live drag: poses to the stream, frames into the surface, and their facts into the meters. */
 
-import { type FrameFacts, type PoseEntry, type Session, type SolveOptions, type Stream, schema } from "pliant-client";
-import { type HandlePose, type HandleState, entryOf } from "../model/handles.ts";
+import { type FrameFacts, type PoseEntry, type Session, type SolveOptions, type Stream, type Vector, schema } from "pliant-client";
+import { type HandlePose, type HandleState, entryOf, searchingFrom } from "../model/handles.ts";
 import { changedElsewhere, changedHere, takeOver } from "./following.ts";
 import { bringBack, onScreen } from "./intermission.ts";
 import { repaint } from "./painting.ts";
@@ -23,6 +23,8 @@ const RENEW_MS = 60_000;
 let stream: Stream | undefined;
 let alive: ReturnType<typeof setInterval> | undefined;
 let pending: PoseEntry[] | undefined;
+/** The rotations that the newest frame of the drag under way has for handles that turn freely. */
+let dragTurns: ReadonlyMap<string, Vector> = new Map();
 /** Whether the last drag was given up: its frames are of no use, the shape is that of the last commit. */
 let givenUp = false;
 /** Shapes painted so far, and what decoding and shading them took. */
@@ -79,6 +81,7 @@ export function stopStream(): void {
   stream = undefined;
   pending = undefined;
   givenUp = false;
+  dragTurns = new Map();
   clearInterval(alive);
   old?.close();
 }
@@ -116,6 +119,7 @@ export async function giveUpDrag(id: string, pose: HandlePose): Promise<void> {
   pending = undefined;
   if (current === undefined || open === undefined) return;
   givenUp = true;
+  dragTurns = new Map();
   // The stream's next commit records what was dragged on it: this is.
   current.pose([entryOf({ id, pose, pivot: pivotOf(id) })]);
   try {
@@ -145,7 +149,10 @@ async function recordPoses(ids: readonly string[]): Promise<void> {
   pending = undefined;
   givenUp = false;
   // What the commit makes of the handles is what they are now, whatever is dragged before its answer comes.
-  const recordedHandles = s.handles.peek();
+  // Its search begins where that of the drag has ended, so that both find the same.
+  const recordedHandles = searchingFrom(s.handles.peek(), dragTurns);
+  s.handles.value = recordedHandles;
+  dragTurns = new Map();
   const poses = recordedHandles.filter(({ id }) => ids.includes(id));
   const { refineDragging, refineCommit } = s.settings.peek();
   const differs = refineDragging !== refineCommit && draggingOptions().refine !== undefined;
@@ -161,6 +168,7 @@ async function recordPoses(ids: readonly string[]): Promise<void> {
     const elsewhere = changedHere(BigInt(frame.revision));
     if (frame.quality !== undefined) s.quality.value = frame.quality;
     const [moved] = poses;
+    s.foundTurns.value = frame.foundTurns;
     remember(BigInt(frame.revision), recordedHandles, poses.length === 1 && moved !== undefined ? `${moved.name} posed` : "Handles posed");
     await refreshHistory();
     // The pose was added to what others did: that is shown, too.
@@ -199,6 +207,7 @@ export function turn(now: number): void {
     if (!s.dragging.peek()) surface.settle();
     return;
   }
+  if (frame.quality === undefined) dragTurns = frame.foundTurns;
   surface.moved(s.dragging.peek());
   if (s.settings.peek().colouring === "stretch") colour();
   sums.painted += 1;

@@ -2,7 +2,7 @@
 
 import { batch } from "@preact/signals";
 import type { Vector, schema } from "pliant-client";
-import { AT_REST, type HandleState, type Hold, PALETTE, isAtRest, messageOf, poseOf } from "../model/handles.ts";
+import { AT_REST, type HandleState, type Hold, PALETTE, heldPose, isAtRest, messageOf, poseOf } from "../model/handles.ts";
 import { commitPoses } from "./dragging.ts";
 import { changedHere, isStale, takeOver } from "./following.ts";
 import { bringBack } from "./intermission.ts";
@@ -121,6 +121,14 @@ export async function keepHardParts(stiff: boolean): Promise<void> {
   if (known.some(({ pose }) => !isAtRest(pose))) await commitPoses(known.map(({ id }) => id));
 }
 
+/** The pose of a handle as it lies, which turns automatically no more. */
+export function asItLies({ id, pose, pivot }: HandleState): HandleState["pose"] {
+  const turn = pose.freely ? s.foundTurns.peek().get(id) : undefined;
+  if (turn === undefined) return { ...pose, freely: false };
+  const [x, y, z] = s.facts.peek()?.handles.find((handle) => handle.id === id)?.centroid ?? [];
+  return heldPose(pose, turn, pivot, [x ?? pivot[0], y ?? pivot[1], z ?? pivot[2]]);
+}
+
 /** Sets the pose of a handle from numbers rather than from the gizmo. */
 export async function poseHandle(id: string, pose: HandleState["pose"]): Promise<void> {
   s.handles.value = s.handles.peek().map((handle) => (handle.id === id ? { ...handle, pose } : handle));
@@ -191,6 +199,7 @@ async function changing(what: string, failure: string, change: () => Promise<voi
 /** Merges the server's handles with what `known` says about each; the others have the server's poses. */
 function merge(facts: Facts, known: readonly HandleState[]): void {
   s.facts.value = facts;
+  s.foundTurns.value = new Map(facts.handles.flatMap(({ id, foundTurn: [x, y, z] }) => (x === undefined || y === undefined || z === undefined ? [] : [[id, [x, y, z]]])));
   s.handles.value = facts.handles.map((told, k) => {
     const pivot = pivotOf(told);
     const own = known.find(({ id }) => id === told.id) ?? { ...unknown(told.id, k), pivot, pose: poseOf(told.pose, pivot) };

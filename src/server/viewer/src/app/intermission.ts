@@ -10,7 +10,7 @@ import * as s from "./signals.ts";
 import { view } from "./view.ts";
 
 /** What is on the screen in place of the pose. */
-export type Act = "clip" | "animation";
+export type Act = "clip" | "animation" | "rig";
 
 interface Aside {
   readonly surface: Surface;

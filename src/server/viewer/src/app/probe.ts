@@ -2,9 +2,11 @@
 
 import { Vector3 } from "three";
 import { animating, coming, isCompared } from "./animating.ts";
+import { crossings } from "./crossing.ts";
 import { paintedSoFar } from "./dragging.ts";
 import { wardrobe } from "./dressing.ts";
 import { playing } from "./playing.ts";
+import { rigging } from "./rigging.ts";
 import * as s from "./signals.ts";
 import { view } from "./view.ts";
 
@@ -36,6 +38,10 @@ export interface Probe {
     seconds: number;
     /** The animation that is shown: frames that are there, that are wanted, the one on the screen. */
     animation: { kept: number; wanted: number; at: number; running: boolean; coming: boolean; compared: boolean } | null;
+    /** Triangles that are marked as crossing others; -1 while none are looked for. */
+    crossings: number;
+    /** The joints of the rig that is shown, on the page. */
+    rig: { name: string; score: number | null; doubtful: boolean; given: boolean; at: readonly number[]; place: { x: number; y: number } | undefined }[] | null;
     revision: string;
     /** Shapes painted since the page was loaded, and the milliseconds that decoding and shading them took. */
     painted: number;
@@ -87,6 +93,8 @@ export function installProbe(): void {
       pointing: view().pointer.isShown,
       seconds: playing.peek()?.seconds ?? -1,
       animation: animationNow(),
+      crossings: crossings.peek()?.total ?? -1,
+      rig: rigging.peek()?.joints.map(({ name, score, doubtful, given, at }) => ({ name, score: score ?? null, doubtful, given, at, place: place(new Vector3(...at)) })) ?? null,
       revision: String(s.currentRevision.peek()),
       ...paintedSoFar(),
       gizmoPart: view().gizmo.hotPart,

@@ -1,7 +1,7 @@
 /** What the page shows, as signals: the interface reads them, the actions of this folder write them. */
 
 import { computed, effect, signal } from "@preact/signals";
-import type { PliantError, Session, StreamState, schema } from "pliant-client";
+import type { PliantError, Session, StreamState, Vector, schema } from "pliant-client";
 import type { HandleState } from "../model/handles.ts";
 import type { SurfaceReport } from "../model/report.ts";
 import type { Topology } from "../model/topology.ts";
@@ -37,7 +37,7 @@ export interface Note {
 
 export type Tool = "orbit" | "brush" | "box" | "lasso" | "part" | "move" | "rotate" | "scale" | "remesh";
 export type Theme = "auto" | "dark" | "light";
-export type Colouring = "handles" | "stretch" | "plain";
+export type Colouring = "handles" | "stretch" | "crossings" | "plain";
 
 /** Which button looks around, whatever the tool. The other of the two pans. */
 export type LooksWith = "middle" | "right";
@@ -127,6 +127,8 @@ export function choose(change: Partial<Settings>): void {
 export const doc = signal<Document | undefined>(undefined);
 export const facts = signal<schema.Session | undefined>(undefined);
 export const handles = signal<readonly HandleState[]>([]);
+/** The rotations that the recorded shape has for handles that turn freely, by id. */
+export const foundTurns = signal<ReadonlyMap<string, Vector>>(new Map());
 export const activeId = signal<string | undefined>(undefined);
 export const activeHandle = computed(() => handles.value.find((handle) => handle.id === activeId.value));
 /** 1 for every selected render vertex. */

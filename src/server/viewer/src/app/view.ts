@@ -1,6 +1,7 @@
 /** The scene and its objects, once the canvas is there. Actions and tools reach them here. */
 
 import type { Gizmo } from "../scene/gizmo.ts";
+import type { Joints } from "../scene/joints.ts";
 import type { Markers } from "../scene/markers.ts";
 import type { Overlay } from "../scene/overlay.ts";
 import type { Pointer } from "../scene/pointer.ts";
@@ -10,6 +11,7 @@ export interface View {
   readonly stage: Stage;
   readonly gizmo: Gizmo;
   readonly markers: Markers;
+  readonly joints: Joints;
   readonly overlay: Overlay;
   readonly pointer: Pointer;
 }

@@ -1,9 +1,10 @@
 /** Connects signals and scene: made once, when the canvas is there. */
 
 import { computed, effect, untracked } from "@preact/signals";
-import { type HandlePose, type HandleState, heldPose, movesFreely, turnOf } from "../model/handles.ts";
+import { type HandlePose, movesFreely } from "../model/handles.ts";
 import { CuttingPlane } from "../scene/cutting.ts";
 import { Gizmo, type GizmoMode } from "../scene/gizmo.ts";
+import { Joints } from "../scene/joints.ts";
 import { Markers, placeOf } from "../scene/markers.ts";
 import { Overlay } from "../scene/overlay.ts";
 import { Pointer } from "../scene/pointer.ts";
@@ -12,10 +13,13 @@ import { applyOptions, commitPoses, dragTo, giveUpDrag, turn } from "./dragging.
 import { resume, sessionOfThisTab } from "./opening.ts";
 import { showLooks } from "./dressing.ts";
 import { installAnimating } from "./animating.ts";
+import { installCrossing } from "./crossing.ts";
 import { installFollowing } from "./following.ts";
+import { asItLies } from "./handling.ts";
 import { installIntermission, onScreen } from "./intermission.ts";
 import { repaint } from "./painting.ts";
 import { installPlaying } from "./playing.ts";
+import { installRigging, jointEvents } from "./rigging.ts";
 import * as s from "./signals.ts";
 import { installSteps } from "./steps.ts";
 import { armTool, installTools } from "./tools.ts";
@@ -49,7 +53,7 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
     },
   });
   const plane = new CuttingPlane(stage);
-  setView({ stage, gizmo, markers: new Markers(stage), overlay: new Overlay(host), pointer: new Pointer(stage) });
+  setView({ stage, gizmo, markers: new Markers(stage), joints: new Joints(stage, jointEvents), overlay: new Overlay(host), pointer: new Pointer(stage) });
   installTools();
   installSteps();
   stage.beforePaint(turn);
@@ -57,6 +61,8 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
   installAnimating();
   installIntermission();
   installFollowing();
+  installCrossing();
+  installRigging();
   stage.beforePaint(() => followGizmo(gizmoLabel));
 
   const dark = matchMedia("(prefers-color-scheme: dark)");
@@ -93,21 +99,13 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
     const mode = MODES[s.tool.value];
     const holds = handle !== undefined && handle.hold !== "pin" && mode !== undefined && onScreen.value === undefined;
     if (mode !== undefined) gizmo.setMode(mode, s.settings.value.localAxes, false);
-    const pose = holds ? untracked(() => posedFor(handle, mode)) : undefined;
+    // What has turned automatically is turned on from how it lies.
+    const pose: HandlePose | undefined = holds ? untracked(() => (mode === "rotate" ? asItLies(handle) : handle.pose)) : undefined;
     gizmo.attach(holds ? handle.pivot : undefined, pose, holds && movesFreely(handle, handle.pose) && (mode === "translate" || handle.pose.freely));
   });
   effect(() => view().markers.show(onScreen.value === undefined ? s.handles.value : []));
   effect(() => plane.show(s.cutPlane.value));
   void resumeThisTab();
-}
-
-/** Where a gizmo takes hold of a handle: what has turned automatically is turned on from how it lies. */
-function posedFor({ id, pose, vertices, pivot }: HandleState, mode: GizmoMode): HandlePose {
-  const [open, surface] = [s.doc.peek(), view().stage.surface];
-  const [x, y, z] = s.facts.peek()?.handles.find((handle) => handle.id === id)?.centroid ?? [];
-  if (mode !== "rotate" || !pose.freely || vertices === undefined || open === undefined || surface === undefined) return pose;
-  const turn = turnOf(vertices, open.topology.positions, surface.positions);
-  return heldPose(pose, turn, pivot, [x ?? pivot[0], y ?? pivot[1], z ?? pivot[2]]);
 }
 
 /** What the regions look like; the same as before while only poses change. */

@@ -133,47 +133,20 @@ export function movesFreely({ constrains }: Pick<HandleState, "constrains">, pos
   return constrains.position && constrains.rotation && (pose.freely || pose.rotation.every((x) => x === 0));
 }
 
-/** A pose of a handle that has turned freely by `turn` about its middle, about its pivot instead. */
+/** A pose of a handle that has turned freely by `turn` about its middle, held as it lies, about its pivot. */
 export function heldPose(pose: HandlePose, turn: Vector, pivot: Vector, middle: Vector): HandlePose {
   const away: Vector = [pivot[0] - middle[0], pivot[1] - middle[1], pivot[2] - middle[2]];
   const turned = rotated(quaternionOf(turn), away);
   const [x, y, z] = pose.translation;
-  return { ...pose, rotation: turn, translation: [x + turned[0] - away[0], y + turned[1] - away[1], z + turned[2] - away[2]] };
+  return { ...pose, freely: false, rotation: turn, translation: [x + turned[0] - away[0], y + turned[1] - away[1], z + turned[2] - away[2]] };
 }
 
-/** How the vertices of a region are turned, axis times angle: the rotation that fits best (Horn 1987, by power iterations). */
-export function turnOf(vertices: Uint32Array, rest: ArrayLike<number>, now: ArrayLike<number>): Vector {
-  const mean = (points: ArrayLike<number>): number[] => {
-    const sum = [0, 0, 0];
-    for (const v of vertices) for (let c = 0; c < 3; c++) sum[c] = (sum[c] as number) + (points[3 * v + c] as number) / vertices.length;
-    return sum;
-  };
-  const [from, to] = [mean(rest), mean(now)];
-  const m = new Float64Array(9);
-  for (const v of vertices) {
-    for (let a = 0; a < 3; a++) {
-      for (let b = 0; b < 3; b++) {
-        const before = (rest[3 * v + a] as number) - (from[a] as number);
-        m[3 * a + b] = (m[3 * a + b] as number) + before * ((now[3 * v + b] as number) - (to[b] as number));
-      }
-    }
-  }
-  const [xx, xy, xz, yx, yy, yz, zx, zy, zz] = m as unknown as [number, number, number, number, number, number, number, number, number];
-  const n = [
-    [xx - yy - zz, xy + yx, xz + zx, yz - zy],
-    [xy + yx, yy - xx - zz, yz + zy, zx - xz],
-    [xz + zx, yz + zy, zz - xx - yy, xy - yx],
-    [yz - zy, zx - xz, xy - yx, xx + yy + zz],
-  ];
-  // Shifted so that the largest eigenvalue is the largest in magnitude.
-  const shift = Math.hypot(...m) * 2;
-  let q: Quaternion = [0, 0, 0, 1];
-  for (let k = 0; k < 200 && shift > 0; k++) {
-    const next = n.map((row, i) => row.reduce((sum, x, j) => sum + x * (q[j] as number), shift * (q[i] as number)));
-    const length = Math.hypot(...next);
-    q = next.map((x) => x / length) as unknown as Quaternion;
-  }
-  return nearestRotationVector(q, AT_REST.rotation);
+/** Handles whose search for a rotation begins at these. */
+export function searchingFrom(handles: readonly HandleState[], turns: ReadonlyMap<string, Vector>): readonly HandleState[] {
+  return handles.map((handle) => {
+    const rotation = handle.pose.freely ? turns.get(handle.id) : undefined;
+    return rotation === undefined ? handle : { ...handle, pose: { ...handle.pose, rotation } };
+  });
 }
 
 function vectorOf(numbers: readonly number[], otherwise: Vector): Vector {

@@ -65,7 +65,8 @@ export function placeOf({ pivot, pose }: HandleState): THREE.Vector3 {
   return new THREE.Vector3(...pivot).add(new THREE.Vector3(...pose.translation));
 }
 
-function disc(): THREE.Texture {
+/** A white dot with a dark rim. */
+export function disc(): THREE.Texture {
   const size = 64;
   const canvas = document.createElement("canvas");
   canvas.width = canvas.height = size;

@@ -27,6 +27,7 @@ export class Surface {
   private readonly normals: THREE.BufferAttribute;
   private readonly paint: THREE.BufferAttribute;
   private readonly smoothing: Smoothing;
+  private readonly marks: THREE.Mesh<THREE.BufferGeometry, THREE.MeshBasicMaterial[]>;
   private readonly wire: THREE.LineSegments<THREE.BufferGeometry, THREE.LineBasicMaterial>;
   private readonly mesh: THREE.Mesh<THREE.BufferGeometry, THREE.Material | THREE.Material[]>;
   private readonly clay: THREE.MeshLambertMaterial;
@@ -65,7 +66,14 @@ export class Surface {
     );
     this.wire.frustumCulled = false;
     this.wire.visible = false;
-    this.object.add(this.mesh, this.wire);
+    this.marks = new THREE.Mesh(new THREE.BufferGeometry(), MARKS);
+    this.marks.frustumCulled = false;
+    this.marks.visible = false;
+    const behind = new THREE.Mesh(this.marks.geometry, MARKS_BEHIND);
+    behind.frustumCulled = false;
+    behind.renderOrder = 1;
+    this.marks.add(behind);
+    this.object.add(this.mesh, this.wire, this.marks);
     if (topology.normals === undefined) this.shade(true);
   }
 
@@ -105,6 +113,19 @@ export class Surface {
       this.wire.geometry.setIndex(new THREE.BufferAttribute(edges(this.topology.indices), 1));
     }
     this.wire.visible = visible;
+  }
+
+  /** Marks triangles that cross others: those that do so newly, and those that did in the rest pose. */
+  mark(now: readonly number[], atRest: readonly number[]): void {
+    const { indices } = this.topology;
+    const corners = [...now, ...atRest].flatMap((t) => [...indices.subarray(3 * t, 3 * t + 3)]);
+    const { geometry } = this.marks;
+    geometry.setAttribute("position", this.geometry.getAttribute("position"));
+    geometry.setIndex(new THREE.BufferAttribute(Uint32Array.from(corners), 1));
+    geometry.clearGroups();
+    geometry.addGroup(0, 3 * now.length, 0);
+    geometry.addGroup(3 * now.length, 3 * atRest.length, 1);
+    this.marks.visible = corners.length > 0;
   }
 
   /** The positions changed. While `moving`, shading may lag. */
@@ -150,6 +171,7 @@ export class Surface {
     this.geometry.dispose();
     this.clay.dispose();
     this.clothes?.dispose();
+    this.marks.geometry.dispose();
     this.wire.geometry.dispose();
     this.wire.material.dispose();
   }
@@ -165,6 +187,11 @@ export class Surface {
     this.shadingMs = first ? took : this.shadingMs * 0.7 + took * 0.3;
   }
 }
+
+/** Of triangles that cross others newly, and of those that did in the rest pose. */
+const MARKS = [0xe5342b, 0xe0a13a].map((color) => new THREE.MeshBasicMaterial({ color, side: THREE.DoubleSide }));
+/** The same through what lies before them: most of what crosses is inside of something. */
+const MARKS_BEHIND = MARKS.map(({ color, side }) => new THREE.MeshBasicMaterial({ color, side, transparent: true, opacity: 0.45, depthTest: false }));
 
 function dynamic(attribute: THREE.BufferAttribute): THREE.BufferAttribute {
   attribute.setUsage(THREE.DynamicDrawUsage);

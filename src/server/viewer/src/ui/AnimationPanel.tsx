@@ -2,7 +2,8 @@
 
 import type { JSX } from "preact";
 import { useState } from "preact/hooks";
-import { animate, animating, animationReport, clipOptions, type ClipOptions } from "../app/animating.ts";
+import { animate, animating, animationReport, clipOptions, lastSource, type ClipOptions } from "../app/animating.ts";
+import { finding, showRig } from "../app/rigging.ts";
 import { wardrobe } from "../app/dressing.ts";
 import { pickRecording } from "./files.ts";
 import { Button, Facts, Field, NumberInput, Section, Select, count } from "./parts.tsx";
@@ -36,7 +37,10 @@ export function AnimationPanel(): JSX.Element {
           <Button icon="open" label="BVH…" onClick={pickRecording} />
         </div>
       )}
-      {clip === undefined && <Button icon="open" label="BVH…" onClick={pickRecording} />}
+      <div class="row">
+        {clip === undefined && <Button icon="open" label="BVH…" onClick={pickRecording} />}
+        <Button label="Joints…" disabled={finding.value} onClick={() => void showRig(lastSource.value ?? { title: "the next recording" })} />
+      </div>
       <Field label="Rate" hint="Frames to solve for each second of the clip">
         <Select
           label="Rate"

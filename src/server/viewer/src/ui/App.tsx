@@ -4,6 +4,7 @@ import type { JSX } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
 import { AnimationBar, Panes } from "./AnimationBar.tsx";
 import { openDropped } from "./files.ts";
+import { RigBar } from "./RigBar.tsx";
 import { installProbe } from "../app/probe.ts";
 import * as s from "../app/signals.ts";
 import { install } from "../app/wiring.ts";
@@ -51,6 +52,7 @@ export function App(): JSX.Element {
         {isOpen && <Panes />}
         {isOpen && <Transport />}
         {isOpen && <AnimationBar />}
+        {isOpen && <RigBar />}
         <Notes />
         <DropTarget />
       </main>

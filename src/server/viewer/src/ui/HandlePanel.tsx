@@ -2,7 +2,7 @@
 
 import type { Vector } from "pliant-client";
 import type { JSX } from "preact";
-import { changeHandle, keepHardParts, poseHandle, removeHandle } from "../app/handling.ts";
+import { asItLies, changeHandle, keepHardParts, poseHandle, removeHandle } from "../app/handling.ts";
 import * as s from "../app/signals.ts";
 import { activate } from "../app/tools.ts";
 import { AT_REST, type HandleState, colourOf, isAtRest } from "../model/handles.ts";
@@ -117,7 +117,8 @@ function Details({ handle }: { handle: HandleState }): JSX.Element {
 const AXES = ["X", "Y", "Z"] as const;
 const DEGREES = 180 / Math.PI;
 
-function Pose({ handle: { id, pose, constrains } }: { handle: HandleState }): JSX.Element {
+function Pose({ handle }: { handle: HandleState }): JSX.Element {
+  const { id, pose, constrains } = handle;
   const set = (part: Partial<HandleState["pose"]>): void => void poseHandle(id, { ...pose, ...part });
   const row = (name: string, values: Vector, step: number, digits: number, min: number | undefined, onVector: (next: Vector) => void): JSX.Element => (
     <div class="vector" role="group" aria-label={name}>
@@ -144,12 +145,12 @@ function Pose({ handle: { id, pose, constrains } }: { handle: HandleState }): JS
   return (
     <>
       {row("Move", pose.translation, Number((size / 100).toPrecision(1)), 4, undefined, (translation) => set({ translation }))}
-      {row("Turn °", scaled(pose.rotation, DEGREES), 5, 1, undefined, (degrees) => set({ rotation: scaled(degrees, 1 / DEGREES), freely: false }))}
+      {row("Turn °", scaled(pose.rotation, DEGREES), 5, 1, undefined, (degrees) => set({ ...asItLies(handle), rotation: scaled(degrees, 1 / DEGREES) }))}
       <Check
         label="turns automatically"
         checked={pose.freely}
         disabled={!constrains.position || !constrains.rotation}
-        onValue={(freely) => set({ freely })}
+        onValue={(freely) => set(freely ? { freely } : asItLies(handle))}
       />
       {row("Scale", pose.scale, 0.05, 3, 0.01, (scale) => set({ scale }))}
       <div class="row">

@@ -1,12 +1,13 @@
 /** How the model is shown, and what the last commit did to it. */
 
 import type { JSX } from "preact";
+import { crossings } from "../app/crossing.ts";
 import * as s from "../app/signals.ts";
 import { wardrobe } from "../app/dressing.ts";
 import { view } from "../app/view.ts";
 import { FULL_STRETCH } from "../model/stretch.ts";
 import { buttonsMean } from "./mouse.ts";
-import { Button, Check, Choice, Facts, Field, Section } from "./parts.tsx";
+import { Button, Check, Choice, Facts, Field, Section, count } from "./parts.tsx";
 
 export function ViewPanel(): JSX.Element {
   const { colouring, wire, localAxes, looksWith, materials } = s.settings.value;
@@ -20,6 +21,7 @@ export function ViewPanel(): JSX.Element {
           options={[
             ["handles", "handles"],
             ["stretch", "stretch"],
+            ["crossings", "crossings"],
             ["plain", "plain"],
           ]}
           onValue={(value) => s.choose({ colouring: value })}
@@ -35,6 +37,7 @@ export function ViewPanel(): JSX.Element {
           </div>
         </div>
       )}
+      {colouring === "crossings" && <Crossings />}
       <Field label="Orbit with" hint={buttonsMean(looksWith)}>
         <Choice
           label="The button that orbits"
@@ -70,6 +73,19 @@ export function ViewPanel(): JSX.Element {
         />
       )}
     </Section>
+  );
+}
+
+/** How many triangles cross others. */
+function Crossings(): JSX.Element {
+  const found = crossings.value;
+  if (found === undefined) return <p class="hint">Crossings are those of the recorded pose.</p>;
+  const { total, totalAtRest } = found;
+  return (
+    <p class="hint crossings" role="status">
+      <span class="now">{total === 0 ? "no triangle crosses" : total === 1 ? "1 triangle crosses" : `${count(total)} triangles cross`} another since the rest pose</span>
+      {totalAtRest > 0 && <span class="before">{count(totalAtRest)} cross at rest, too</span>}
+    </p>
   );
 }
 

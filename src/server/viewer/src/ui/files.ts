@@ -2,6 +2,7 @@
 
 import { type ClipSource, animate, rigOf } from "../app/animating.ts";
 import { EXTENSIONS, openFiles } from "../app/opening.ts";
+import { correctedRig } from "../app/rigging.ts";
 import * as s from "../app/signals.ts";
 import type { Format, PlacedFile } from "pliant-client";
 
@@ -43,7 +44,8 @@ async function playRecording(files: readonly PlacedFile[]): Promise<void> {
   }
   try {
     const source: ClipSource = { title: clip.path.split("/").at(-1) ?? clip.path, bvh: clip.file };
-    await animate(rig === undefined ? source : { ...source, rig: await rigOf(rig.file) });
+    const given = rig === undefined ? await correctedRig(clip.file) : await rigOf(rig.file);
+    await animate(given === undefined ? source : { ...source, rig: given });
   } catch (error) {
     s.fail("The clip cannot be played", error);
   }
