@@ -162,7 +162,7 @@ impl<'a> PicturedFrames<'a> {
                     Some(near) => camera.close_up(near.at - centers[number], near.radius),
                     None => camera.clone(),
                 };
-                let drawn: Vec<Picture> = own.iter().map(|p| self.draw_tile(p, &camera, pool)).collect();
+                let drawn: Vec<Picture> = own.iter().map(|p| self.draw_tile(p, &camera, v == 0, pool)).collect();
                 let has_words = v == 0 && (self.picture.moves || number == 0);
                 views.push(match <[Picture; 2]>::try_from(drawn) {
                     Ok(pair) => self.join_pair(pair, has_words)?,
@@ -224,11 +224,11 @@ impl<'a> PicturedFrames<'a> {
         })
     }
 
-    /// One picture of one shape, with its words.
-    fn draw_tile(&self, painted: &PaintedShape, camera: &Camera, pool: &Pool) -> Picture {
+    /// One picture of one shape, with its words where they are wanted.
+    fn draw_tile(&self, painted: &PaintedShape, camera: &Camera, has_words: bool, pool: &Pool) -> Picture {
         let mut picture = draw_surface(&painted.surface, camera, pool);
         let [width, height] = [picture.width(), picture.height()];
-        if !painted.words.is_empty() && width.min(height) >= WORDS {
+        if has_words && !painted.words.is_empty() && width.min(height) >= WORDS {
             let dot = (width / 240).clamp(1, 3);
             let words = Caption::fitting(&painted.words, width - 8 * dot, height / 3, dot);
             words.draw_on(&mut picture, 4 * dot, height - words.height() - 2 * dot);

@@ -66,7 +66,7 @@ impl RestFace {
         let least = LEAST_AREA_NOW * LEAST_AREA_NOW * e.length_squared() * f.length_squared();
         let gradient = Mat3::from_cols(e, f, normal * (1.0 / length.sqrt())) * self.inverse;
         let [x, y, z] = [gradient.x_axis, gradient.y_axis, gradient.z_axis].map(|c| c.length_squared());
-        // The normal's part of the sum is 1. Comparisons with what is no number are false.
+        // The normal's part of the sum is 1. Comparisons with NaN are false.
         (self.area > 0.0 && length > least && x + y + z - 1.0 < MOST_SQUARES).then_some((gradient, normal))
     }
 }
@@ -88,7 +88,7 @@ impl RestFaces {
         pool.install(|| {
             let faces = mesh.triangles.par_iter().zip(&self.0).with_min_len(PIECE);
             let of_faces: Vec<_> = faces.map(|(t, face)| face.gradient(corners(t))).collect();
-            // By vertex the sum of the gradients by area and of the areas, which is no number where a face is not judged.
+            // By vertex the sum of the gradients by area and of the areas, NaN where a face is not judged.
             let mut sums = vec![(Mat3::ZERO, 0.0f32); now.len()];
             for ((t, face), of_face) in mesh.triangles.iter().zip(&self.0).zip(&of_faces) {
                 let (gradient, area) = match of_face {

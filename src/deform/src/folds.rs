@@ -333,8 +333,8 @@ fn unfold_vertices(
     changes
 }
 
-/// As [`unfold_faces`] for those who do not need what the shape does to every face, to the bit. Nearly all that it takes depends on the
-/// rest pose alone, and stays in `rest`.
+/// As [`unfold_faces`] for those who do not need what the shape does to every face; positions agree bit for bit. Nearly all that it
+/// takes depends on the rest pose alone, and stays in `rest`.
 pub fn unfold_suspects(
     mesh: &Mesh,
     rest: &OnceLock<RestFaces>,
