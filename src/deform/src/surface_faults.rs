@@ -18,6 +18,8 @@ const SHARP: f64 = 0.5;
 const SHARPER: f64 = 0.25;
 /// What a fold weighs against a crossing: two faces folded onto each other mostly cross a few others.
 const FOLD: usize = 4;
+/// How far around known faults those of another shape are looked for at first, in faces.
+const RINGS: usize = 8;
 /// Faces that one piece of work handles at least.
 const PIECE: usize = 4096;
 
@@ -114,7 +116,7 @@ impl<'a> FreeSurface<'a> {
     }
 
     /// As [`FreeSurface::faults`] where they weigh less than those `before`, of another shape of the same pose; `None` where they do not,
-    /// which mostly shows at the faces that these have.
+    /// which mostly shows around the faces that these have.
     ///
     /// # Errors
     /// [`Cancelled`].
@@ -128,17 +130,29 @@ impl<'a> FreeSurface<'a> {
             crossings: Vec::new(),
             folds: self.folds(now, exec),
         };
-        let mut is_asked = vec![false; self.is_free.len()];
-        before
-            .faces()
-            .for_each(|t| is_asked[t as usize] = self.is_free[t as usize]);
-        for is_asked in [&is_asked, &self.is_free] {
+        for is_asked in [&self.free_around(before), &self.is_free] {
             if faults.weight() >= before.weight() {
                 return Ok(None);
             }
             faults.crossings = self.crossings(now, is_asked, exec)?;
         }
         Ok((faults.weight() < before.weight()).then_some(faults))
+    }
+
+    /// By face: whether it is free and has a part in faults, or is near one that has.
+    fn free_around(&self, faults: &SurfaceFaults) -> Vec<bool> {
+        let mut is_near = vec![false; self.is_free.len()];
+        faults.faces().for_each(|t| is_near[t as usize] = true);
+        for _ring in 0..RINGS {
+            let one_is_near = |([t, o], _): &&([u32; 2], f64)| is_near[*t as usize] != is_near[*o as usize];
+            let met: Vec<[u32; 2]> = self.pairs.iter().filter(one_is_near).map(|(pair, _)| *pair).collect();
+            met.as_flattened().iter().for_each(|&t| is_near[t as usize] = true);
+        }
+        is_near
+            .iter()
+            .zip(&self.is_free)
+            .map(|(near, free)| *near && *free)
+            .collect()
     }
 
     /// Pairs of neighbours that are folded onto each other and were not in the rest pose.

@@ -78,7 +78,8 @@ pub fn smooth_region(
     let mut patch = work.mesh.into_moves(surface);
     patch.volume_change = change;
     if patch.moved.is_empty() {
-        let message = "every point of the region is held, by its rim, by a boundary or by a sharp edge, or is of a part too coarse to smooth";
+        let message =
+            "every point is held, by the rim, a boundary or a sharp edge, or is of a part too coarse to smooth";
         patch
             .warnings
             .push(EditWarning::new("smooth-nothing", message, "region"));
