@@ -219,6 +219,7 @@ fn a_close_up_goes_where_it_is_asked_to() {
         ("vertex:99", "vertex 99 does not exist"),
         ("nobody,1", "nothing here has a name"),
         ("1,2", "box:"),
+        ("0,0,99", "outside the model, which reaches from (-"),
     ] {
         render(&folder, &format!("now.obj --close-up {place} -o no.png"))
             .exits(2)

@@ -23,8 +23,9 @@ pub(super) struct FramePictureArgs {
     /// Size of one frame in pixels [default: 240x320]
     #[arg(long, value_name = "WxH", value_parser = parse_size)]
     tile: Option<PictureSize>,
-    /// View: degrees around the up axis and above the horizon, or a name such as front [default: 30,10]
-    #[arg(long, value_name = "VIEW", value_parser = parse_views, allow_hyphen_values = true)]
+    /// Views: degrees around the up axis and above the horizon, or names as for `pliant render`; several, up to 64, with commas
+    /// between them are side by side in each frame [default: 30,10]
+    #[arg(long, value_name = "VIEWS", value_parser = parse_views, allow_hyphen_values = true)]
     view: Option<ViewList>,
     /// Up axis of the model [default: y]
     #[arg(long, value_enum)]
@@ -74,7 +75,8 @@ pub(super) struct FramePicture {
     pub(super) tiles: usize,
     pub(super) has_rest: bool,
     pub(super) size: PictureSize,
-    pub(super) view: ViewDirection,
+    /// One or several, side by side in each frame.
+    pub(super) views: Vec<ViewDirection>,
     /// By the model's look without one.
     pub(super) colour: Option<FrameColour>,
     pub(super) normals: NormalChoice,
@@ -109,18 +111,14 @@ impl FramePictureArgs {
             return Err(CliFailure::Input(problem.into()));
         }
         let views = self.view.clone().unwrap_or_else(|| ViewList::of([30.0, 10.0]));
-        let [view] = views.directions(self.up.unwrap_or(UpAxisChoice::Y))?[..] else {
-            return Err(CliFailure::Input(
-                "--view names several views; frames are seen from one".into(),
-            ));
-        };
+        let views = views.directions(self.up.unwrap_or(UpAxisChoice::Y))?;
         Ok(Some(FramePicture {
             path: path.to_owned(),
             moves,
             tiles,
             has_rest: self.rest,
             size: self.tile.map_or_else(|| PictureSize::new(240, 320), Ok)?,
-            view,
+            views,
             colour: self.color,
             normals: self.normals.unwrap_or_default(),
             beside: self.beside,

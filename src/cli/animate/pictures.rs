@@ -2,16 +2,19 @@
 
 use super::picture_args::{FrameColour, FramePicture};
 use super::play::{FrameTaker, PlayedAnimation};
-use crate::cli::drawing::{DrawnShape, SeenShape, crossing_words, crossings_by_triangle, heat_colours};
+use crate::cli::drawing::{
+    CloseUp, DrawnShape, SeenShape, bounds_of, crossing_words, crossings_by_triangle, heat_colours,
+};
 use crate::cli::terminal::CliFailure;
 use crate::engine::{AnimatedFrame, bind_model, influences_of_skin};
 use crate::exec::Exec;
+use crate::mesh::BoundingBox;
 use crate::motion::BoneInfluences;
 use crate::motion::rig::{RigSkeleton, RigidMotion};
 use crate::pool::Pool;
 use crate::render::{
-    Camera, ColourKey, ColourRamp, INK, POSITION_COLOUR, Picture, ROTATION_COLOUR, STRETCH_RANGE, ShadedSurface,
-    background_end, draw_surface, edge_stretch, encode_moving_png, sheet_columns,
+    Camera, Caption, CloseView, ColourKey, ColourRamp, POSITION_COLOUR, Picture, ROTATION_COLOUR, STRETCH_RANGE,
+    ShadedSurface, background_end, draw_surface, edge_stretch, encode_moving_png, sheet_columns,
 };
 use crate::wire::{Error, pb};
 use glam::DVec3;
@@ -146,20 +149,29 @@ impl<'a> PicturedFrames<'a> {
             }
         }
         let all: Vec<&ShadedSurface> = painted.iter().map(|p| &p.surface).collect();
-        let whole = &Camera::around_surfaces(&all, &[self.picture.view], self.picture.size)[0];
+        let whole = Camera::around_surfaces(&all, &self.picture.views, self.picture.size);
+        let bounds = bounds_of(self.shapes.iter().map(|shown| &shown.solved[..]));
         let each = if self.skin.is_some() { 2 } else { 1 };
         let mut pictures = Vec::with_capacity(self.shapes.len());
         for (number, (own, shown)) in painted.chunks(each).zip(&self.shapes).enumerate() {
-            let camera = match (&self.picture.close_up, own.last()) {
-                (Some(_), Some(solved)) => self.near_camera(whole, shown, solved, centers[number])?,
-                _ => whole.clone(),
+            let near = match (&self.picture.close_up, own.last()) {
+                (Some(wanted), Some(solved)) => Some(self.near_place(wanted, shown, solved, bounds)?),
+                _ => None,
             };
-            let drawn: Vec<Picture> = own.iter().map(|p| self.draw_tile(p, &camera, pool)).collect();
-            let has_words = self.picture.moves || number == 0;
-            pictures.push(match <[Picture; 2]>::try_from(drawn) {
-                Ok(pair) => self.join_pair(pair, has_words)?,
-                Err(mut one) => one.swap_remove(0),
-            });
+            let mut views = Vec::with_capacity(whole.len());
+            for (v, camera) in whole.iter().enumerate() {
+                let camera = match near {
+                    Some(near) => camera.close_up(near.at - centers[number], near.radius),
+                    None => camera.clone(),
+                };
+                let drawn: Vec<Picture> = own.iter().map(|p| self.draw_tile(p, &camera, v == 0, pool)).collect();
+                let has_words = v == 0 && (self.picture.moves || number == 0);
+                views.push(match <[Picture; 2]>::try_from(drawn) {
+                    Ok(pair) => self.join_pair(pair, has_words)?,
+                    Err(mut one) => one.swap_remove(0),
+                });
+            }
+            pictures.push(join_views(views)?);
         }
         Ok(pictures)
     }
@@ -191,40 +203,37 @@ impl<'a> PicturedFrames<'a> {
         Ok(PaintedShape { surface, sizes, words })
     }
 
-    /// The camera of a frame that shows a place of it from near by.
-    fn near_camera(
+    /// The place of a frame that is shown from near by.
+    fn near_place(
         &self,
-        whole: &Camera,
+        wanted: &CloseUp,
         shown: &ShownShape,
         solved: &PaintedShape,
-        center: DVec3,
-    ) -> Result<Camera, CliFailure> {
-        let Some(wanted) = &self.picture.close_up else {
-            return Ok(whole.clone());
-        };
+        bounds: BoundingBox,
+    ) -> Result<CloseView, CliFailure> {
         let rig = self.played.animation.moving_rig();
         let mut marks: Vec<(String, DVec3)> = Vec::new();
         for (bone, motion) in rig.bones.iter().zip(&shown.motions) {
             let begins = motion.place(bone.from);
             marks.extend([(bone.id.clone(), begins), (bone.joint.clone(), begins)]);
         }
-        let near = wanted.place_in(&SeenShape {
+        wanted.place_in(&SeenShape {
             positions: &shown.solved,
             primitives: &self.played.deformer.geometry().primitives,
             values: &solved.sizes,
             marks: &marks,
-        })?;
-        Ok(whole.close_up(near.at - center, near.radius))
+            bounds,
+        })
     }
 
-    /// One picture of one shape, with its words.
-    fn draw_tile(&self, painted: &PaintedShape, camera: &Camera, pool: &Pool) -> Picture {
+    /// One picture of one shape, with its words where they are wanted.
+    fn draw_tile(&self, painted: &PaintedShape, camera: &Camera, has_words: bool, pool: &Pool) -> Picture {
         let mut picture = draw_surface(&painted.surface, camera, pool);
         let [width, height] = [picture.width(), picture.height()];
-        if !painted.words.is_empty() && width.min(height) >= WORDS {
+        if has_words && !painted.words.is_empty() && width.min(height) >= WORDS {
             let dot = (width / 240).clamp(1, 3);
-            let low = height - Picture::text_size(dot, "x").1 - 4 * dot;
-            picture.write_text(4 * dot, low, dot, &painted.words, INK);
+            let words = Caption::fitting(&painted.words, width - 8 * dot, height / 3, dot);
+            words.draw_on(&mut picture, 4 * dot, height - words.height() - 2 * dot);
         }
         picture
     }
@@ -302,6 +311,20 @@ impl FrameTaker for PicturedFrames<'_> {
         report.output = vec![self.picture.path.display().to_string()];
         Ok(())
     }
+}
+
+/// The views of a frame side by side.
+fn join_views(mut views: Vec<Picture>) -> Result<Picture, CliFailure> {
+    if views.len() == 1 {
+        return Ok(views.swap_remove(0));
+    }
+    let width: u64 = views.iter().map(|view| u64::from(view.width())).sum();
+    let height = views.first().map_or(1, Picture::height);
+    let mut joined = Picture::new(width, u64::from(height), background_end())?;
+    for (k, view) in (0u32..).zip(&views) {
+        joined.paste_picture(view, k * view.width(), 0);
+    }
+    Ok(joined)
 }
 
 /// Bones that a vertex follows at most where the model says nothing of it.

@@ -2,7 +2,7 @@
 
 use crate::asset::Primitive;
 use crate::cli::terminal::{CliFailure, listed};
-use crate::mesh::BoundingBox;
+use crate::mesh::{BoundingBox, brief_number, brief_point};
 use crate::render::CloseView;
 use glam::DVec3;
 use std::collections::BTreeSet;
@@ -92,6 +92,8 @@ pub(in crate::cli) struct SeenShape<'a> {
     pub(in crate::cli) values: &'a [f64],
     /// Names of bones or nodes, and where they are.
     pub(in crate::cli) marks: &'a [(String, DVec3)],
+    /// The box of all that the picture is of, which a place has to reach.
+    pub(in crate::cli) bounds: BoundingBox,
 }
 
 impl CloseUp {
@@ -146,8 +148,26 @@ impl CloseUp {
             NearTarget::Worst => (DVec3::ZERO, usual),
         };
         let radius = self.radius.unwrap_or(reach);
+        let BoundingBox { min, max } = shape.bounds;
+        let is_reached = match &self.target {
+            NearTarget::Box(asked) => asked.overlaps(&shape.bounds),
+            _ => at.clamp(min, max).distance(at) <= radius,
+        };
+        if !is_reached {
+            let [at, min, max] = [at, min, max].map(brief_point);
+            let reach = brief_number(radius);
+            let problem =
+                format!("{at} with {reach} around it is outside the model, which reaches from {min} to {max}");
+            return Err(refusal(&problem));
+        }
         Ok(CloseView { at, radius })
     }
+}
+
+/// The box of several shapes.
+pub(in crate::cli) fn bounds_of<'a>(shapes: impl Iterator<Item = &'a [DVec3]>) -> BoundingBox {
+    let corners = shapes.map(BoundingBox::of).flat_map(|own| [own.min, own.max]);
+    BoundingBox::of(&corners.collect::<Vec<_>>())
 }
 
 fn refusal(problem: &str) -> CliFailure {
@@ -209,10 +229,30 @@ mod tests {
             primitives: &[],
             values,
             marks: &[],
+            bounds: BoundingBox::of(&positions),
         };
         let worst = parse_close_up("worst,0.5").expect("allowed");
         let place = worst.place_in(&shape(&[0.5, -2.0, 2.0])).expect("one is worst");
         assert_eq!((place.at, place.radius), (DVec3::X, 0.5));
         assert!(worst.place_in(&shape(&[0.0; 3])).is_err() && worst.place_in(&shape(&[])).is_err());
+        // A place has to be near the model.
+        for (text, is_near) in [
+            ("0.5,0.5,0", true),
+            ("3,0,0,2", true),
+            ("3,0,0,1.9", false),
+            ("3,0,0", false),
+            ("box:0,0,-1,9,9,9", true),
+            ("box:2,2,0,9,9,9", false),
+        ] {
+            let place = parse_close_up(text).expect("allowed").place_in(&shape(&[]));
+            assert_eq!(place.is_ok(), is_near, "{text}");
+            let told = |e| match e {
+                CliFailure::Input(told) => {
+                    told.contains("outside the model, which reaches from (0, 0, 0) to (1, 1, 0)")
+                }
+                _ => false,
+            };
+            assert!(place.is_ok() || place.is_err_and(told), "{text}");
+        }
     }
 }

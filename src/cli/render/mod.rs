@@ -5,7 +5,7 @@ mod cutaway;
 mod input;
 
 use super::drawing::{
-    CloseUp, NormalChoice, SeenShape, UpAxisChoice, ViewList, parse_close_up, parse_size, parse_views,
+    CloseUp, NormalChoice, SeenShape, UpAxisChoice, ViewList, bounds_of, parse_close_up, parse_size, parse_views,
 };
 use super::output_files::{OutputPermission, check_ending, spare_companions};
 use super::terminal::{CliFailure, ThreadArgs};
@@ -224,6 +224,7 @@ impl RenderArgs {
             return Ok(vec![None; shown.len()]);
         };
         let mut places = Vec::with_capacity(shown.len());
+        let bounds = bounds_of(shown.iter().map(|drawn| &drawn.model.positions[..]));
         // What has no worst place of its own shows that of the first that has one.
         let measured = sizes.iter().position(|own| !own.is_empty());
         for (k, drawn) in shown.iter().enumerate() {
@@ -233,6 +234,7 @@ impl RenderArgs {
                 primitives: &shown[k].model.primitives,
                 values: &sizes[k],
                 marks,
+                bounds,
             };
             let settled = match measured {
                 Some(other) if sizes[k].is_empty() => wanted.settled_in(&of(other, &[]))?,

@@ -10,12 +10,14 @@
 //!
 //! Folds found, and patches around them relaxed.
 
+use crate::fold_suspects::RestFaces;
 use crate::handles::system::HandleSystem;
 use glam::{DMat3, DVec3};
 use pliant_exec::pool::Pool;
 use pliant_mesh::local_turns::{is_turned_over, largest_stretch, vertex_gradients};
-use pliant_mesh::{Adjacency, Lists, Mesh, shading};
+use pliant_mesh::{Adjacency, Lists, Mesh, shading, sorted_set};
 use rayon::prelude::*;
+use std::collections::BTreeSet;
 use std::sync::OnceLock;
 
 /// Sweeps over the vertices of a patch.
@@ -165,24 +167,25 @@ impl FoldedSurface<'_> {
         faces.filter_map(of).fold(DMat3::ZERO, |sum, g| sum + g)
     }
 
-    /// Counts folds of a patch.
-    pub fn badness(&self, patch: &FoldPatch, now: &[DVec3]) -> FoldCount {
-        let faces = patch.faces.iter();
-        let mut corners: Vec<u32> = faces.flat_map(|&t| self.mesh.triangles[t as usize]).collect();
-        corners.sort_unstable();
-        corners.dedup();
+    /// What a shape does to some faces.
+    fn changes_of(&self, faces: &[u32], now: &[DVec3]) -> Vec<FaceChange> {
+        let corners = sorted_set(faces.iter().flat_map(|&t| self.mesh.triangles[t as usize]));
         let of = |&v: &u32| shading::cofactor(&self.gradient(v, now));
         let cofactors: Vec<DMat3> = corners.iter().map(of).collect();
+        let change = |&t: &u32| {
+            let own = self.mesh.triangles[t as usize];
+            let at = own.map(|v| &cofactors[corners.binary_search(&v).unwrap_or_default()]);
+            face_change(self.mesh, &own, now, at)
+        };
+        faces.iter().map(change).collect()
+    }
+
+    /// Counts folds of a patch.
+    pub fn badness(&self, patch: &FoldPatch, now: &[DVec3]) -> FoldCount {
         let mut count = FoldCount { bad: 0, stretch: 0.0 };
-        for &t in &patch.faces {
-            let [p, q] = [&self.mesh.positions[..], now].map(|shape| self.corners(shape, t));
-            let own = self.mesh.triangles[t as usize].map(|v| {
-                let at = corners.binary_search(&v).unwrap_or_default();
-                &cofactors[at]
-            });
-            let stretch = largest_stretch(p, q).unwrap_or(0.0);
+        for (is_over, stretch) in self.changes_of(&patch.faces, now) {
             count.stretch = count.stretch.max(stretch);
-            count.bad += usize::from(is_turned_over(p, q, own) || stretch > self.overstretched);
+            count.bad += usize::from(is_over || stretch > self.overstretched);
         }
         count
     }
@@ -324,29 +327,98 @@ fn unfold_vertices(
     pool: &Pool,
 ) -> FaceChanges {
     let mut changes = FaceChanges::find(mesh, now, pool);
-    let mut folds = changes.folds(mesh, now);
-    if folds.is_empty() || folds.len() > mesh.triangles.len() / FEW {
-        return changes;
-    }
-    let surface = FoldedSurface {
-        mesh,
-        around: surroundings.get_or_init(|| pool.install(|| FaceSurroundings::of(mesh))),
-        held,
-        overstretched: OVERSTRETCHED,
-    };
-    let farthest = FARTHEST * mesh.bounds().diagonal();
-    for rings in RINGS {
-        for patch in surface.patches_around(&folds, rings) {
-            if relax_if_better(&surface, &patch, farthest, now) {
-                changes.update(&surface, &patch, now);
-            }
-        }
-        folds = changes.folds(mesh, now);
-        if folds.is_empty() {
-            break;
-        }
+    if !changes.folds(mesh, now).is_empty() {
+        FoldedSurface::of(mesh, surroundings, held, pool).unfold(&mut changes, now);
     }
     changes
+}
+
+/// As [`unfold_faces`] for those who do not need what the shape does to every face; positions agree bit for bit. Nearly all that it
+/// takes depends on the rest pose alone, and stays in `rest`.
+pub fn unfold_suspects(
+    mesh: &Mesh,
+    rest: &OnceLock<RestFaces>,
+    surroundings: &OnceLock<FaceSurroundings>,
+    handles: &HandleSystem,
+    positions: &mut [DVec3],
+    pool: &Pool,
+) {
+    let vertices = mesh.positions.len();
+    let (held, now) = (&handles.held_nodes()[..vertices], &mut positions[..vertices]);
+    let suspects = rest.get_or_init(|| RestFaces::of(mesh, pool)).suspects(mesh, now, pool);
+    if suspects.len() > mesh.triangles.len() / FEW {
+        unfold_vertices(mesh, surroundings, held, now, pool);
+    } else if !suspects.is_empty() {
+        let surface = FoldedSurface::of(mesh, surroundings, held, pool);
+        let mut folds = KnownFolds::default();
+        folds.look_at(&surface, &suspects, now);
+        surface.unfold(&mut folds, now);
+    }
+}
+
+/// Where folds are.
+trait FoldSearch {
+    /// Looks again at the faces of a patch whose vertices have moved.
+    fn update(&mut self, surface: &FoldedSurface<'_>, patch: &FoldPatch, now: &[DVec3]);
+
+    /// Faces that turned over or are stretched beyond measure, and have moved, rising.
+    fn folds(&self, mesh: &Mesh, now: &[DVec3]) -> Vec<u32>;
+}
+
+/// Nothing but the folds.
+#[derive(Default)]
+struct KnownFolds(BTreeSet<u32>);
+
+impl KnownFolds {
+    fn look_at(&mut self, surface: &FoldedSurface<'_>, faces: &[u32], now: &[DVec3]) {
+        for (&t, change) in faces.iter().zip(surface.changes_of(faces, now)) {
+            match is_fold(&change) {
+                true => self.0.insert(t),
+                false => self.0.remove(&t),
+            };
+        }
+    }
+}
+
+impl FoldSearch for KnownFolds {
+    fn update(&mut self, surface: &FoldedSurface<'_>, patch: &FoldPatch, now: &[DVec3]) {
+        self.look_at(surface, patch.faces(), now);
+    }
+
+    fn folds(&self, mesh: &Mesh, now: &[DVec3]) -> Vec<u32> {
+        self.0.iter().copied().filter(|&t| is_moved(mesh, t, now)).collect()
+    }
+}
+
+impl<'a> FoldedSurface<'a> {
+    fn of(mesh: &'a Mesh, surroundings: &'a OnceLock<FaceSurroundings>, held: &'a [bool], pool: &Pool) -> Self {
+        Self {
+            mesh,
+            around: surroundings.get_or_init(|| pool.install(|| FaceSurroundings::of(mesh))),
+            held,
+            overstretched: OVERSTRETCHED,
+        }
+    }
+
+    /// Relaxes patches around the folds, larger ones where that was not enough.
+    fn unfold(&self, search: &mut impl FoldSearch, now: &mut [DVec3]) {
+        let mut folds = search.folds(self.mesh, now);
+        if folds.len() > self.mesh.triangles.len() / FEW {
+            return;
+        }
+        let farthest = FARTHEST * self.mesh.bounds().diagonal();
+        for rings in RINGS {
+            if folds.is_empty() {
+                break;
+            }
+            for patch in self.patches_around(&folds, rings) {
+                if relax_if_better(self, &patch, farthest, now) {
+                    search.update(self, &patch, now);
+                }
+            }
+            folds = search.folds(self.mesh, now);
+        }
+    }
 }
 
 /// Relaxes a patch; undone when it is not better, or moves further than `farthest`. Whether it was kept.
@@ -371,8 +443,20 @@ fn relax_if_better(surface: &FoldedSurface<'_>, patch: &FoldPatch, farthest: f64
 pub struct FaceChanges {
     /// By vertex: the gradient, a sum over its triangles by area.
     gradients: Vec<DMat3>,
-    /// By triangle: whether it was turned over against what is around it, and how far it is stretched (0 where it has no area).
-    faces: Vec<(bool, f64)>,
+    /// By triangle.
+    faces: Vec<FaceChange>,
+}
+
+/// Whether a triangle was turned over against what is around it, and how far it is stretched (0 where it has no area).
+type FaceChange = (bool, f64);
+
+fn is_fold((is_over, stretch): &FaceChange) -> bool {
+    *is_over || *stretch > OVERSTRETCHED
+}
+
+fn is_moved(mesh: &Mesh, t: u32, now: &[DVec3]) -> bool {
+    let mut corners = mesh.triangles[t as usize].iter();
+    corners.any(|&v| mesh.positions[v as usize] != now[v as usize])
 }
 
 impl FaceChanges {
@@ -387,36 +471,6 @@ impl FaceChanges {
         })
     }
 
-    /// Looks again at the faces of a patch whose vertices have moved.
-    fn update(&mut self, surface: &FoldedSurface<'_>, patch: &FoldPatch, now: &[DVec3]) {
-        let mesh = surface.mesh;
-        let faces = patch.faces().iter();
-        let mut corners: Vec<u32> = faces.flat_map(|&t| mesh.triangles[t as usize]).collect();
-        corners.sort_unstable();
-        corners.dedup();
-        for &v in &corners {
-            self.gradients[v as usize] = surface.gradient(v, now);
-        }
-        for &t in patch.faces() {
-            let corners = mesh.triangles[t as usize];
-            let [a, b, c] = corners.map(|v| shading::cofactor(&self.gradients[v as usize]));
-            self.faces[t as usize] = face_change(mesh, &corners, now, [&a, &b, &c]);
-        }
-    }
-
-    /// Faces that turned over or are stretched beyond measure, rising.
-    fn folds(&self, mesh: &Mesh, now: &[DVec3]) -> Vec<u32> {
-        let is_moved = |t: u32| {
-            mesh.triangles[t as usize]
-                .iter()
-                .any(|&v| mesh.positions[v as usize] != now[v as usize])
-        };
-        let bad = (0u32..)
-            .zip(&self.faces)
-            .filter(|(_, (over, stretch))| *over || *stretch > OVERSTRETCHED);
-        bad.map(|(t, _)| t).filter(|&t| is_moved(t)).collect()
-    }
-
     /// How many faces are turned over against what is around them.
     pub fn turned_over(&self) -> usize {
         self.faces.iter().filter(|f| f.0).count()
@@ -428,7 +482,24 @@ impl FaceChanges {
     }
 }
 
-fn face_change(mesh: &Mesh, corners: &[u32; 3], now: &[DVec3], cofactors: [&DMat3; 3]) -> (bool, f64) {
+impl FoldSearch for FaceChanges {
+    fn update(&mut self, surface: &FoldedSurface<'_>, patch: &FoldPatch, now: &[DVec3]) {
+        let mesh = surface.mesh;
+        for v in sorted_set(patch.faces().iter().flat_map(|&t| mesh.triangles[t as usize])) {
+            self.gradients[v as usize] = surface.gradient(v, now);
+        }
+        for (&t, change) in patch.faces().iter().zip(surface.changes_of(patch.faces(), now)) {
+            self.faces[t as usize] = change;
+        }
+    }
+
+    fn folds(&self, mesh: &Mesh, now: &[DVec3]) -> Vec<u32> {
+        let bad = (0u32..).zip(&self.faces).filter(|(_, change)| is_fold(change));
+        bad.map(|(t, _)| t).filter(|&t| is_moved(mesh, t, now)).collect()
+    }
+}
+
+fn face_change(mesh: &Mesh, corners: &[u32; 3], now: &[DVec3], cofactors: [&DMat3; 3]) -> FaceChange {
     let [p, q] = [&mesh.positions[..], now].map(|shape| corners.map(|v| shape[v as usize]));
     (is_turned_over(p, q, cofactors), largest_stretch(p, q).unwrap_or(0.0))
 }
@@ -447,7 +518,15 @@ mod tests {
     /// Unfolds, and checks that the returned face changes match the shape.
     fn unfold(sheet: &Mesh, held: &[bool], now: &mut [DVec3], threads: usize) {
         let pool = Pool::new(threads).expect("threads");
+        let mut quickly = now.to_vec();
+        let suspects = RestFaces::of(sheet, &pool).suspects(sheet, now, &pool);
+        let surroundings = OnceLock::new();
+        let surface = FoldedSurface::of(sheet, &surroundings, held, &pool);
+        let mut folds = KnownFolds::default();
+        folds.look_at(&surface, &suspects, now);
+        surface.unfold(&mut folds, &mut quickly);
         let returned = unfold_vertices(sheet, &OnceLock::new(), held, now, &pool);
+        assert_eq!(now, quickly);
         assert_eq!(returned, FaceChanges::find(sheet, now, &pool));
     }
 

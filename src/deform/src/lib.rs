@@ -65,6 +65,7 @@ mod border_frames;
 mod error;
 mod fields;
 mod first_pass;
+mod fold_suspects;
 mod folds;
 mod handles;
 mod pose;
@@ -79,7 +80,8 @@ pub use body::{BodyOptions, CoarseOperators, DeformableBody, EdgeWeights, TieFam
 pub use error::Error;
 pub use fields::HarmonicFields;
 pub use first_pass::{LocalFrame, LocalRotation, PoseBlend, frames, pack_rotation};
-pub use folds::{FaceChanges, FaceSurroundings, unfold_faces};
+pub use fold_suspects::RestFaces;
+pub use folds::{FaceChanges, FaceSurroundings, unfold_faces, unfold_suspects};
 pub use handles::{
     FreePartPolicy, HandleConstraint, HandleMotion, HandleSetup, HandleShares, HandleSystem, NodeOwnership, StiffNodes,
     UNHELD, carry, shares_difference,

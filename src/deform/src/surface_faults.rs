@@ -16,6 +16,10 @@ const FOLDED: f64 = -0.5;
 const SHARP: f64 = 0.5;
 /// and by this less than in the rest pose.
 const SHARPER: f64 = 0.25;
+/// What a fold weighs against a crossing: two faces folded onto each other mostly cross a few others.
+const FOLD: usize = 4;
+/// How far around known faults those of another shape are looked for at first, in faces.
+const RINGS: usize = 8;
 /// Faces that one piece of work handles at least.
 const PIECE: usize = 4096;
 
@@ -35,6 +39,18 @@ pub struct SurfaceFaults {
     pub crossings: Vec<[u32; 2]>,
     /// Pairs of neighbours that are folded onto each other and were not in the rest pose.
     pub folds: Vec<[u32; 2]>,
+}
+
+impl SurfaceFaults {
+    /// What they weigh together.
+    pub fn weight(&self) -> usize {
+        self.crossings.len() + FOLD * self.folds.len()
+    }
+
+    /// The faces that have a part in them; some more than once.
+    pub fn faces(&self) -> impl Iterator<Item = u32> {
+        self.crossings.iter().chain(&self.folds).flatten().copied()
+    }
 }
 
 impl<'a> FreeSurface<'a> {
@@ -93,15 +109,57 @@ impl<'a> FreeSurface<'a> {
     /// # Errors
     /// [`Cancelled`].
     pub fn faults(&self, now: &[DVec3], exec: &Exec<'_>) -> Result<SurfaceFaults, Cancelled> {
-        let normals = exec.pool.install(|| unit_normals(self.mesh, now));
-        let folds = self
-            .pairs
-            .iter()
-            .filter(|(pair, before)| is_fold(*before, cosine(&normals, *pair)));
         Ok(SurfaceFaults {
-            folds: folds.map(|(pair, _)| *pair).collect(),
+            folds: self.folds(now, exec),
             crossings: self.crossings(now, &self.is_free, exec)?,
         })
+    }
+
+    /// As [`FreeSurface::faults`] where they weigh less than those `before`, of another shape of the same pose; `None` where they do not,
+    /// which mostly shows around the faces that these have.
+    ///
+    /// # Errors
+    /// [`Cancelled`].
+    pub fn fewer_faults(
+        &self,
+        now: &[DVec3],
+        before: &SurfaceFaults,
+        exec: &Exec<'_>,
+    ) -> Result<Option<SurfaceFaults>, Cancelled> {
+        let mut faults = SurfaceFaults {
+            crossings: Vec::new(),
+            folds: self.folds(now, exec),
+        };
+        for is_asked in [&self.free_around(before), &self.is_free] {
+            if faults.weight() >= before.weight() {
+                return Ok(None);
+            }
+            faults.crossings = self.crossings(now, is_asked, exec)?;
+        }
+        Ok((faults.weight() < before.weight()).then_some(faults))
+    }
+
+    /// By face: whether it is free and has a part in faults, or is near one that has.
+    fn free_around(&self, faults: &SurfaceFaults) -> Vec<bool> {
+        let mut is_near = vec![false; self.is_free.len()];
+        faults.faces().for_each(|t| is_near[t as usize] = true);
+        for _ring in 0..RINGS {
+            let one_is_near = |([t, o], _): &&([u32; 2], f64)| is_near[*t as usize] != is_near[*o as usize];
+            let met: Vec<[u32; 2]> = self.pairs.iter().filter(one_is_near).map(|(pair, _)| *pair).collect();
+            met.as_flattened().iter().for_each(|&t| is_near[t as usize] = true);
+        }
+        is_near
+            .iter()
+            .zip(&self.is_free)
+            .map(|(near, free)| *near && *free)
+            .collect()
+    }
+
+    /// Pairs of neighbours that are folded onto each other and were not in the rest pose.
+    fn folds(&self, now: &[DVec3], exec: &Exec<'_>) -> Vec<[u32; 2]> {
+        let normals = exec.pool.install(|| unit_normals(self.mesh, now));
+        let folded = |(pair, before): &&([u32; 2], f64)| is_fold(*before, cosine(&normals, *pair));
+        self.pairs.iter().filter(folded).map(|(pair, _)| *pair).collect()
     }
 
     /// Pairs that cross and did not in the rest pose, one of them asked for at least.

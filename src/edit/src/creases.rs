@@ -5,6 +5,7 @@
 //! lies between these rules and the smooth ones (DeRose, Kass and Truong, "Subdivision Surfaces in Character Animation", 1998):
 //! one of 2.5 is three subdivisions, with 2.5, 1.5 and 0.5.
 
+use super::patch::EditWarning;
 use super::region_mesh::{RegionMesh, edge_key};
 use super::surface::SurfaceView;
 use super::triangle;
@@ -98,6 +99,23 @@ impl CreaseEdges {
         }
         creases.at.values_mut().for_each(|ends| ends.sort_unstable());
         Ok(creases)
+    }
+
+    /// Says so where `options` ask for creases, or for how sharp they are, and there are none.
+    pub fn warn_of_none(&self, options: &CreaseOptions<'_>) -> Option<EditWarning> {
+        let unnamed = CreaseOptions {
+            sharpness: options.sharpness,
+            ..CreaseOptions::default()
+        };
+        let (message, at) = match *options == unnamed {
+            _ if !self.at.is_empty() || *options == CreaseOptions::default() => return None,
+            true => {
+                let message = "it says how sharp creases are, and none are named: give creaseDegrees, creases or creasePrimitives";
+                (message, "sharpness")
+            }
+            false => ("no edge inside the region is a crease", "region"),
+        };
+        Some(EditWarning::new("subdivide-no-creases", message, at))
     }
 
     /// The other ends of the creases at a point, rising.

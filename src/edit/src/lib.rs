@@ -31,6 +31,8 @@ mod patch;
 mod region_mesh;
 mod remesh;
 mod smooth;
+mod smooth_closed;
+mod smooth_volume;
 mod stitch;
 mod subdivide;
 mod surface;

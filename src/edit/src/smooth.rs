@@ -3,15 +3,17 @@
 //! Points go towards the mean of their neighbours and back again by a little more (Taubin, "A Signal Processing Approach to Fair
 //! Surface Design", 1995), so that waves shorter than some edges go and longer ones stay. The weights are the cotangents of
 //! the surface as it was (Desbrun et al. 1999; kept from the start as by Kazhdan et al. 2012), so points hardly slide.
-//! What volume is still lost or won then comes back along the normals, where points have moved.
+//! What volume is still lost or won then comes back along the normals, where points have moved. Of coarse closed parts the size comes
+//! back after each iteration.
 
 use super::patch::{EditWarning, SurfacePatch};
 use super::region_mesh::RegionMesh;
+use super::smooth_closed::PASSED;
 use super::surface::SurfaceView;
 use super::triangle;
 use glam::DVec3;
 use pliant_exec::progress::{Progress, check};
-use pliant_mesh::{BoundingBox, Error, NONE};
+use pliant_mesh::{Error, NONE};
 
 /// How strongly and how often points are moved.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,17 +41,11 @@ const MOST_MOVES: u64 = 1 << 29;
 /// The step of strength 1, in parts of the way to the mean of the neighbours: longer ones make the shortest waves grow.
 const STEP: f64 = 0.63;
 
-/// Waves below this frequency pass, in units of the weighted Laplacian, whose frequencies go from 0 to 2.
-const PASSED: f64 = 0.05;
-
 /// Weights of an edge are no less than this, so that all are positive.
 const LEAST_WEIGHT: f64 = 0.02;
 
 /// No more than this, so that no sliver counts for all.
 const LARGEST_WEIGHT: f64 = 20.0;
-
-/// The volume is right when no more than this part of what was lost is left.
-const EXACT: f64 = 1e-9;
 
 /// Smooths the triangles `faces`, rising numbers. Boundaries, the rim of the region, points around which the faces make no
 /// single fan and edges sharper than asked for stay as they are. The patch says by which part of the whole volume that of the
@@ -64,10 +60,9 @@ pub fn smooth_region(
     options: &SmoothOptions,
     progress: &dyn Progress,
 ) -> Result<SurfacePatch, Error> {
-    options.check()?;
-    let mesh = RegionMesh::with_frozen_ring(surface, faces)?;
-    options.check_moves(mesh.points.len(), MOST_MOVES)?;
+    let mesh = options.gather(surface, faces, MOST_MOVES)?;
     let mut work = Smoother::new(mesh, options.sharp_cosine(), progress)?;
+    let whole = work.whole_parts();
     let back = 1.0 / (PASSED - 1.0 / (STEP * options.strength));
     for iteration in 0..options.iterations {
         progress.report("edit", iteration as f32 / options.iterations as f32);
@@ -75,14 +70,16 @@ pub fn smooth_region(
         let before = work.positions();
         work.step(STEP * options.strength);
         work.step(back);
+        work.restore_extents(&whole, &before);
         work.take_back(&before);
     }
-    work.restore_volume(progress)?;
+    work.restore_volume(&whole, progress)?;
     let change = work.volume_change(surface);
     let mut patch = work.mesh.into_moves(surface);
     patch.volume_change = change;
     if patch.moved.is_empty() {
-        let message = "every point of the region is held: by its rim, by a boundary or by a sharp edge";
+        let message =
+            "every point is held, by the rim, a boundary or a sharp edge, or is of a part too coarse to smooth";
         patch
             .warnings
             .push(EditWarning::new("smooth-nothing", message, "region"));
@@ -91,8 +88,20 @@ pub fn smooth_region(
 }
 
 impl SmoothOptions {
+    /// The region to move points of, where the options are in range and ask for no more moves than `limit`.
+    pub(super) fn gather(&self, surface: &SurfaceView<'_>, faces: &[u32], limit: u64) -> Result<RegionMesh, Error> {
+        self.check()?;
+        let mesh = RegionMesh::with_frozen_ring(surface, faces)?;
+        let seen = mesh.points.len() as u64 * u64::from(self.iterations);
+        if seen > limit {
+            let what = "moves of points (points of the region times smooth.iterations)";
+            return Err(Error::TooLarge { what, seen, limit });
+        }
+        Ok(mesh)
+    }
+
     /// Refuses what is out of range.
-    pub(super) fn check(&self) -> Result<(), Error> {
+    fn check(&self) -> Result<(), Error> {
         let refuse = |field: &str, problem: String| Err(Error::invalid(format!("smooth.{field}"), problem));
         if !(1..=MOST_SMOOTHINGS).contains(&self.iterations) {
             let problem = format!("is {}, allowed are 1 to {MOST_SMOOTHINGS}", self.iterations);
@@ -111,19 +120,6 @@ impl SmoothOptions {
         Ok(())
     }
 
-    /// Refuses more moves of `points` points than `limit`.
-    pub(super) fn check_moves(&self, points: usize, limit: u64) -> Result<(), Error> {
-        let seen = points as u64 * u64::from(self.iterations);
-        if seen <= limit {
-            return Ok(());
-        }
-        Err(Error::TooLarge {
-            what: "moves of points (points of the region times smooth.iterations)",
-            seen,
-            limit,
-        })
-    }
-
     /// The cosine of the angle beyond which edges stay.
     pub(super) fn sharp_cosine(&self) -> f64 {
         libm::cos(self.sharp_degrees.to_radians())
@@ -131,15 +127,15 @@ impl SmoothOptions {
 }
 
 /// A region while it is smoothed.
-struct Smoother {
-    mesh: RegionMesh,
+pub(super) struct Smoother {
+    pub mesh: RegionMesh,
     /// The points that move, rising, and of each its neighbours with weights that sum to 1.
-    free: Vec<u32>,
-    rows: Vec<Vec<(u32, f64)>>,
+    pub free: Vec<u32>,
+    pub rows: Vec<Vec<(u32, f64)>>,
     /// The place of each point of the mesh among those that move, or [`NONE`].
-    row_of: Vec<u32>,
+    pub row_of: Vec<u32>,
     /// Where the points of the mesh were.
-    before: Vec<DVec3>,
+    pub before: Vec<DVec3>,
 }
 
 impl Smoother {
@@ -197,11 +193,11 @@ impl Smoother {
     }
 
     /// Where the points that move are.
-    fn positions(&self) -> Vec<DVec3> {
+    pub fn positions(&self) -> Vec<DVec3> {
         self.free.iter().map(|&p| self.mesh.position(p)).collect()
     }
 
-    fn set_positions(&mut self, positions: &[DVec3]) {
+    pub fn set_positions(&mut self, positions: &[DVec3]) {
         for (&p, &x) in self.free.iter().zip(positions) {
             self.mesh.points[p as usize].position = x;
         }
@@ -221,7 +217,7 @@ impl Smoother {
 
     /// Puts points back where they were `before` while a face at them has turned over, against the faces around it, or lost its
     /// area. One that was turned over may stay so or turn back.
-    fn take_back(&mut self, before: &[DVec3]) {
+    pub fn take_back(&mut self, before: &[DVec3]) {
         let is_free = |p: &u32| self.row_of[*p as usize] != NONE;
         let faces: Vec<u32> = (self.mesh.living_faces())
             .filter(|&f| self.mesh.points_of(f).iter().any(is_free))
@@ -261,127 +257,6 @@ impl Smoother {
         };
         faces.iter().map(looks_away).collect()
     }
-
-    /// Gives each part that hangs together by points that move the volume that it had.
-    fn restore_volume(&mut self, progress: &dyn Progress) -> Result<(), Error> {
-        let amount = self.spread_amounts();
-        for part in self.parts() {
-            check(progress)?;
-            self.restore_volume_of(&part, &amount);
-        }
-        Ok(())
-    }
-
-    /// How far each free point has moved, averaged with its neighbours, so that what comes back comes back evenly.
-    fn spread_amounts(&self) -> Vec<f64> {
-        let moved = |p: u32| self.mesh.position(p).distance(self.before[p as usize]);
-        let mut amount: Vec<f64> = self.free.iter().map(|&p| moved(p)).collect();
-        for _ in 0..2 {
-            let at = |q: u32| amount.get(self.row_of[q as usize] as usize).copied().unwrap_or(0.0);
-            let spread = self.rows.iter().zip(&amount).map(|(row, own)| {
-                let around: f64 = row.iter().map(|&(q, weight)| at(q) * weight).sum();
-                0.5 * (own + around)
-            });
-            amount = spread.collect();
-        }
-        amount
-    }
-
-    /// The points that move, by parts, as places among them.
-    fn parts(&self) -> Vec<Vec<u32>> {
-        let mut seen = vec![false; self.free.len()];
-        let mut parts = Vec::new();
-        for start in 0..self.free.len() {
-            if std::mem::replace(&mut seen[start], true) {
-                continue;
-            }
-            let mut part = vec![start as u32];
-            let mut done = 0;
-            while done < part.len() {
-                for &(q, _) in &self.rows[part[done] as usize] {
-                    let row = self.row_of[q as usize];
-                    if row != NONE && !std::mem::replace(&mut seen[row as usize], true) {
-                        part.push(row);
-                    }
-                }
-                done += 1;
-            }
-            part.sort_unstable();
-            parts.push(part);
-        }
-        parts
-    }
-
-    fn restore_volume_of(&mut self, part: &[u32], amount: &[f64]) {
-        let mut faces: Vec<u32> = (part.iter())
-            .flat_map(|&row| self.mesh.faces_around(self.free[row as usize]).iter().copied())
-            .collect();
-        faces.sort_unstable();
-        faces.dedup();
-        let origin = self.before[self.free[part[0] as usize] as usize];
-        let wanted = volume_of(&self.mesh, &faces, |p| self.before[p as usize] - origin);
-        let smooth = self.positions();
-        let normals: Vec<DVec3> = (part.iter())
-            .map(|&row| self.area_normal_at(self.free[row as usize]).normalize_or_zero())
-            .collect();
-        let missing = |this: &Self| wanted - volume_of(&this.mesh, &faces, |p| this.mesh.position(p) - origin);
-        let first = missing(self);
-        let mut share = 0.0;
-        for _ in 0..8 {
-            let left = missing(self);
-            if left.abs() <= EXACT * first.abs() {
-                break;
-            }
-            let slope: f64 = (part.iter().zip(&normals))
-                .map(|(&row, n)| n.dot(self.area_normal_at(self.free[row as usize])) * amount[row as usize] / 6.0)
-                .sum();
-            share = (share + left / slope).clamp(-1.0, 1.0);
-            if !share.is_finite() {
-                return self.set_positions(&smooth);
-            }
-            for (&row, &n) in part.iter().zip(&normals) {
-                let place = smooth[row as usize] + n * (share * amount[row as usize]);
-                self.mesh.points[self.free[row as usize] as usize].position = place;
-            }
-        }
-        self.take_back(&smooth);
-    }
-
-    /// The sum of the area normals of the faces around a point.
-    fn area_normal_at(&self, p: u32) -> DVec3 {
-        self.mesh
-            .faces_around(p)
-            .iter()
-            .map(|&f| self.mesh.area_normal(f))
-            .sum()
-    }
-
-    /// By which part of the volume of the whole surface it has changed.
-    fn volume_change(&self, surface: &SurfaceView<'_>) -> f64 {
-        let origin = BoundingBox::of(surface.positions).center();
-        let faces: Vec<u32> = self.mesh.living_faces().collect();
-        let [was, now] = [false, true].map(|now| {
-            volume_of(&self.mesh, &faces, |p| match now {
-                true => self.mesh.position(p) - origin,
-                false => self.before[p as usize] - origin,
-            })
-        });
-        let corners = (0..surface.triangles.len() as u32).map(|t| surface.corner_positions(t).map(|x| x - origin));
-        let whole: f64 = corners.map(|[a, b, c]| a.dot(b.cross(c))).sum();
-        let part = (now - was) / (whole / 6.0).abs();
-        if part.is_finite() { part } else { 0.0 }
-    }
-}
-
-/// The volume between faces and the origin, counted negative where they face it.
-fn volume_of(mesh: &RegionMesh, faces: &[u32], at: impl Fn(u32) -> DVec3) -> f64 {
-    let sum: f64 = (faces.iter())
-        .map(|&f| {
-            let [a, b, c] = mesh.points_of(f).map(&at);
-            a.dot(b.cross(c))
-        })
-        .sum();
-    sum / 6.0
 }
 
 #[cfg(test)]
@@ -391,6 +266,7 @@ mod tests {
     use crate::remesh::relax_region;
     use crate::surface::TestSurface;
     use pliant_exec::progress::Silent;
+    use pliant_mesh::BoundingBox;
     use std::f64::consts::TAU;
 
     /// Numbers between −1 and 1 that look like chance.
@@ -476,6 +352,35 @@ mod tests {
             for (p, place) in view.positions.iter().enumerate() {
                 assert!(inside.contains(p as u32) || now.positions[p] == *place);
             }
+        }
+    }
+
+    /// A closed cone of so many sides.
+    fn cone(sides: u32, height: f64) -> TestSurface {
+        let at = |k: u32| f64::from(k) * TAU / f64::from(sides);
+        let rim = (0..sides).map(|k| DVec3::new(libm::cos(at(k)), libm::sin(at(k)), 0.0));
+        let positions: Vec<DVec3> = rim.chain([DVec3::ZERO, DVec3::Z * height]).collect();
+        let round = |k: u32| (k + 1) % sides;
+        let faces = (0..sides).flat_map(|k| [[k, round(k), sides + 1], [round(k), k, sides]]);
+        TestSurface::new(positions, faces.collect::<Vec<_>>())
+    }
+
+    #[test]
+    fn a_coarse_closed_part_keeps_its_volume_and_its_extents() {
+        for (sides, height, iterations) in [(16, 2.0, 20), (4, 0.5, 10), (8, 30.0, 20), (16, 2.0, 500)] {
+            let cone = cone(sides, height);
+            let view = cone.view();
+            let all: Vec<u32> = (0..view.triangles.len() as u32).collect();
+            let patch = smooth_region(&view, &all, &options(iterations, 180.0), &Silent).expect("smooths");
+            let now = apply_patch(&view, &patch, &[0]).expect("applies");
+            let kept = volume(&now.surface()) / volume(&view);
+            let [was, is] = [view.positions, &now.positions].map(|p| BoundingBox::of(p).size());
+            assert!((kept - 1.0).abs() < 1e-8, "{sides} sides, {iterations} times: {kept}");
+            assert!(patch.volume_change.abs() < 1e-8);
+            assert!(
+                (is / was).min_element() > 0.6 && (is / was).max_element() < 1.5,
+                "{was} {is}"
+            );
         }
     }
 

@@ -64,7 +64,8 @@ pub fn subdivide_region(
         true => check(progress),
         false => Ok(()),
     };
-    let creases = CreaseEdges::find(surface, &mesh, &edges, creases)?;
+    let asked = creases;
+    let creases = CreaseEdges::find(surface, &mesh, &edges, asked)?;
     let mut middles = Vec::with_capacity(edges.len());
     for (k, &(a, b)) in edges.iter().enumerate() {
         check_at(k)?;
@@ -99,6 +100,7 @@ pub fn subdivide_region(
         })
         .collect();
     patch.removed.sort_unstable();
+    patch.warnings.extend(creases.warn_of_none(asked));
     if scheme == SubdivisionScheme::Loop {
         for (p, point) in (0u32..).zip(&mesh.points) {
             check_at(p as usize)?;

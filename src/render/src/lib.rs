@@ -22,6 +22,7 @@
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
 mod camera;
+mod caption;
 mod colour;
 mod colour_key;
 mod dress;
@@ -34,6 +35,7 @@ mod texture;
 mod view_sheet;
 
 pub use camera::{Camera, PictureSize, UpAxis, ViewDirection};
+pub use caption::Caption;
 pub use colour::{ColourRamp, Rgb, crossing_colour};
 pub use colour_key::ColourKey;
 pub use dress::{STRETCH_RANGE, SurfaceDress, edge_stretch, vertex_displacements};

@@ -2,8 +2,9 @@
 
 use super::Error;
 use super::camera::{Camera, PictureSize, ViewDirection};
+use super::caption::Caption;
 use super::colour_key::ColourKey;
-use super::picture::{INK, Picture};
+use super::picture::Picture;
 use super::raster::{background_end, draw_surface};
 use super::ring_mark::RingMark;
 use super::surface::ShadedSurface;
@@ -12,6 +13,8 @@ use pliant_exec::pool::Pool;
 
 /// Views smaller than this have no key and no words.
 const WORDS: u32 = 96;
+/// Words take at most this part of a view's height.
+const WORDY: u32 = 3;
 
 /// A place that a picture shows from near by.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -114,8 +117,9 @@ impl ViewSheet<'_> {
                 picture.paste_picture(&draw_surface(shape.surface, camera, pool), x, y);
                 shape.marks.iter().for_each(|m| m.draw_on(&mut picture, camera, x, y));
                 if words && v == 0 {
-                    let caption = fitting_caption(&shape.caption, width, dot);
-                    picture.write_text(x + 4 * dot, y + 4 * dot, dot, &caption, INK);
+                    let room = width.saturating_sub(8 * dot);
+                    let caption = Caption::fitting(&shape.caption, room, view_height / WORDY, dot);
+                    caption.draw_on(&mut picture, x + 4 * dot, y + 4 * dot);
                 }
             }
         }
@@ -125,18 +129,6 @@ impl ViewSheet<'_> {
         }
         Ok(picture)
     }
-}
-
-/// As much of a caption as fits; its end, by which names of files differ.
-fn fitting_caption(caption: &str, width: u32, dot: u32) -> String {
-    let letter = Picture::text_size(dot, "xx").0 - Picture::text_size(dot, "x").0;
-    let room = (width.saturating_sub(8 * dot) / letter.max(1)) as usize;
-    let count = caption.chars().count();
-    if count <= room {
-        return caption.to_owned();
-    }
-    let left_out = count - room.saturating_sub(2);
-    "..".chars().chain(caption.chars().skip(left_out)).take(room).collect()
 }
 
 /// Columns of a sheet of so many tiles, each `aspect` times as wide as high: as few places left empty as can be, then about twice as wide
@@ -271,12 +263,6 @@ mod tests {
                 .expect("small")
                 .pixel(0, 0)
         );
-    }
-
-    #[test]
-    fn captions_keep_their_ends() {
-        assert_eq!(fitting_caption("new/dog.glb", 200, 1), "new/dog.glb");
-        assert_eq!(fitting_caption("a long path/new/dog.glb", 80, 1), "..ew/dog.glb");
     }
 
     #[test]

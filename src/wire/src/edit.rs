@@ -213,9 +213,17 @@ fn subdivide(subdivide: &message::Subdivide) -> Result<Edit, Error> {
         between_primitives: subdivide.crease_primitives,
         sharpness: unless_zero(subdivide.sharpness, "subdivide.sharpness")?,
     };
-    if creases != Creases::default() && (subdivide.auto || scheme != SubdivisionScheme::Loop) {
-        let problem = "keeps every edge as it is without LOOP; leave the creases out";
-        return Err(Error::invalid("subdivide", problem));
+    if subdivide.auto || scheme != SubdivisionScheme::Loop {
+        let given = [
+            (creases.degrees.is_some(), "creaseDegrees"),
+            (!creases.edges.is_empty(), "creases"),
+            (creases.between_primitives, "creasePrimitives"),
+            (creases.sharpness.is_some(), "sharpness"),
+        ];
+        if let Some((_, field)) = given.iter().find(|(is_given, _)| *is_given) {
+            let problem = "says what stays sharp, but without LOOP every edge stays as it is; leave it out";
+            return Err(Error::invalid(format!("subdivide.{field}"), problem));
+        }
     }
     Ok(match subdivide.auto {
         true => Edit::SubdivideForPose { region },
@@ -262,8 +270,9 @@ fn smooth(smooth: &message::Smooth) -> Result<Edit, Error> {
             message::smooth::Kind::Relax => SmoothKind::Relax,
         },
         iterations: (smooth.iterations > 0).then_some(smooth.iterations),
-        strength: unless_zero(smooth.strength, "smooth.strength")?,
-        sharp_degrees: unless_zero(smooth.sharp_degrees, "smooth.sharpDegrees")?,
+        // The edit itself knows the ranges.
+        strength: (smooth.strength != 0.0).then_some(smooth.strength),
+        sharp_degrees: (smooth.sharp_degrees != 0.0).then_some(smooth.sharp_degrees),
     }))
 }
 

@@ -66,6 +66,19 @@ fn frames_stand_beside_linear_blend_skinning_after_the_rest_shape() {
     animate_bar(folder, "-o bar.apng --tile 40x48 --frames 0:5 --beside lbs");
     let moving = SeenPicture::read_from(&folder.join("bar.apng"));
     assert_eq!((moving.width, moving.height), (80, 48), "high ones beside each other");
+    animate_bar(
+        folder,
+        "-o sides.png --tiles 1 --tile 64x64 --frames 0:1 --view front,side,top",
+    );
+    let sides = SeenPicture::read_from(&folder.join("sides.png"));
+    assert_eq!((sides.width, sides.height), (3 * 64, 64));
+    let side = |k: usize| sides.tile([64 * k, 0], [64, 64]);
+    let drawn = |k: usize| {
+        (side(k).iter().enumerate())
+            .filter(|(n, p)| **p != side(k)[n / 64 * 64])
+            .count()
+    };
+    assert!((0..3).all(|k| drawn(k) > 20) && side(0) != side(1) && side(1) != side(2));
 }
 
 #[test]
@@ -98,7 +111,7 @@ fn a_wrist_that_is_turned_over_stays_thick_where_skinning_wrings_it() {
 fn pictures_that_make_no_sense_are_refused_before_anything_is_written() {
     let folder = &bar_folder();
     let before = contents(folder);
-    let cases: [(&str, &str); 7] = [
+    let cases: [(&str, &str); 8] = [
         ("-o a.apng --rest", "--tiles and --rest are for .png"),
         ("-o a.png --rest --tiles 1", "2 or more are needed"),
         (
@@ -108,6 +121,7 @@ fn pictures_that_make_no_sense_are_refused_before_anything_is_written() {
         ("-o a.png --beside dqs", "possible values: lbs"),
         ("-o a.png --close-up high,wide", "such as leftHand,0.3"),
         ("-o a.png --close-up high,-1", "a radius above 0"),
+        ("-o a.png --close-up 99,0,0", "outside the model, which reaches from"),
         (
             "-o a.png --close-up tail,0.5",
             "\"tail\" is not a bone, node or primitive; there are low, high",

@@ -219,11 +219,23 @@ fn creases_keep_the_edges_of_a_bar_through_two_subdivisions() {
         (json!({"subdivide": {"creaseDegrees": 200}}), "subdivide.creaseDegrees"),
         (
             json!({"subdivide": {"scheme": "MIDPOINT", "sharpness": 1}}),
-            "without LOOP",
+            "subdivide.sharpness: says what stays sharp, but without LOOP",
         ),
     ] {
         let refused = edit(&mut bench, &asked(wrong), &rest).expect_err("no creases");
         assert!(refused.to_string().contains(field), "{refused}");
+    }
+    for (creases, at) in [
+        (json!({"sharpness": 0.5}), "sharpness"),
+        (json!({"creaseDegrees": 179}), "region"),
+    ] {
+        let outcome = edited(&mut bench, &asked(json!({"subdivide": creases})));
+        let told = outcome
+            .result
+            .warnings
+            .iter()
+            .find(|w| w.code == "subdivide-no-creases");
+        assert!(told.is_some_and(|w| w.r#where == at), "{told:?}");
     }
 }
 
@@ -257,6 +269,10 @@ fn smoothing_takes_noise_off_keeps_the_volume_and_can_be_gone_back_from() {
     for (wrong, field) in [
         (json!({"smooth": {"iterations": 1001}}), "smooth.iterations"),
         (json!({"smooth": {"strength": 1.5}}), "smooth.strength"),
+        (
+            json!({"smooth": {"strength": -1}}),
+            "smooth.strength: is -1, allowed is above 0 and up to 1",
+        ),
         (
             json!({"smooth": {"kind": "RELAX", "sharpDegrees": 181}}),
             "smooth.sharpDegrees",

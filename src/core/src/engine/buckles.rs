@@ -11,8 +11,8 @@ use super::error::Error;
 use super::handle::{Falloff, FalloffCurve};
 use super::resolved_handles::fading_weights;
 use crate::deform::{
-    FaceSurroundings, FreeSurface, HandleSystem, LocalRotation, PoseRequest, Quality, SolveState, SolvedNodes,
-    SurfaceFaults, TurnChange, TurnChangeKind, VolumeScales, unfold_faces,
+    FaceSurroundings, FreeSurface, HandleSystem, LocalRotation, PoseRequest, Quality, RestFaces, SolveState,
+    SolvedNodes, SurfaceFaults, TurnChange, TurnChangeKind, VolumeScales, unfold_suspects,
 };
 use crate::exec::Exec;
 use crate::mesh::{Mesh, signed_volume, surface_area};
@@ -31,8 +31,6 @@ const EDGES: f64 = 5.0;
 const WHOLE: f64 = 1.5;
 /// How far smoothed rotations are fitted again, where 1 is to the rotation that fits best.
 const REACH: f32 = 0.3;
-/// What a fold weighs against a crossing: two faces folded onto each other mostly cross a few others.
-const FOLD: usize = 4;
 
 /// What a commit is solved on, for a look at its faults.
 pub(super) struct BuckleWatch<'a> {
@@ -41,6 +39,7 @@ pub(super) struct BuckleWatch<'a> {
     request: PoseRequest<'a>,
     /// Found where they are first asked for. They are not kept, so that what a session takes does not depend on what was solved.
     surroundings: OnceLock<FaceSurroundings>,
+    rest: OnceLock<RestFaces>,
     exec: &'a Exec<'a>,
 }
 
@@ -51,10 +50,11 @@ struct Candidate {
     faults: SurfaceFaults,
 }
 
-impl Candidate {
-    fn cost(&self) -> usize {
-        self.faults.crossings.len() + FOLD * self.faults.folds.len()
-    }
+/// The pose without fits, which is finished where it is asked for.
+struct PlainPose {
+    solved: Option<SolvedNodes>,
+    /// If it has fewer faults than the best one had then.
+    finished: Option<Candidate>,
 }
 
 /// By vertex the rounds in which it was part of a fault that was still there, and by node how far the smoothing around such reached.
@@ -76,6 +76,7 @@ impl<'a> BuckleWatch<'a> {
             handles,
             request,
             surroundings: OnceLock::new(),
+            rest: OnceLock::new(),
             exec,
         }
     }
@@ -83,8 +84,9 @@ impl<'a> BuckleWatch<'a> {
     /// Brings back what turned over, as in every commit.
     pub fn unfold(&self, solved: &mut SolvedNodes) {
         self.exec.progress.begin_pass("unfold");
-        unfold_faces(
+        unfold_suspects(
             &self.derived.mesh,
+            &self.rest,
             &self.surroundings,
             self.handles,
             &mut solved.positions,
@@ -108,16 +110,20 @@ impl<'a> BuckleWatch<'a> {
             return Ok(fitted);
         }
         let fits = state.added_turns().to_vec();
-        let plain = self.without_fits(&surface, state)?;
         let mut best = Candidate {
             faults: surface.faults(&fitted.positions[..vertices], self.exec)?,
             solved: fitted,
             turns: fits,
         };
+        let mut plain = self.without_fits(state)?;
         self.let_volume_go(&surface, &mut best, state)?;
-        self.smooth_around_faults(&surface, &mut best, plain.cost(), state)?;
-        if plain.cost() < best.cost() {
-            best = plain;
+        self.smooth_around_faults(&surface, &mut best, &mut plain, state)?;
+        let most = best.faults.weight();
+        if self
+            .weigh(&surface, &mut plain, &best.faults)?
+            .is_some_and(|weight| weight < most)
+        {
+            best = plain.finished.unwrap_or(best);
         }
         state.set_added_turns(best.turns);
         Ok(best.solved)
@@ -141,17 +147,15 @@ impl<'a> BuckleWatch<'a> {
         };
         let (solved, turns) =
             (self.handles).solve_changed(&self.derived.body, &self.request, &unchanged, state, self.exec)?;
-        let free = self.finished(surface, solved, turns)?;
-        if free.cost() < best.cost() {
-            *best = free;
-        } else {
-            state.exchange_volume(kept);
+        match self.finished(surface, solved, turns, &best.faults)? {
+            Some(free) => *best = free,
+            None => drop(state.exchange_volume(kept)),
         }
         Ok(())
     }
 
     /// The pose of the paper's two passes, as where no fit is asked for.
-    fn without_fits(&self, surface: &FreeSurface<'_>, state: &mut SolveState) -> Result<Candidate, Error> {
+    fn without_fits(&self, state: &mut SolveState) -> Result<PlainPose, Error> {
         let quality = Quality {
             refine: Some(0),
             ..self.request.quality
@@ -163,7 +167,23 @@ impl<'a> BuckleWatch<'a> {
         let solved = self
             .handles
             .solve(&self.derived.body, &request, state, self.exec, &mut |_| true)?;
-        self.finished(surface, solved, Vec::new())
+        Ok(PlainPose {
+            solved: Some(solved),
+            finished: None,
+        })
+    }
+
+    /// What the faults of the pose without fits weigh, where that is less than the `best` one's; `best` never gets worse.
+    fn weigh(
+        &self,
+        surface: &FreeSurface<'_>,
+        plain: &mut PlainPose,
+        best: &SurfaceFaults,
+    ) -> Result<Option<usize>, Error> {
+        if let Some(solved) = plain.solved.take_if(|_| best.weight() > 0) {
+            plain.finished = self.finished(surface, solved, Vec::new(), best)?;
+        }
+        Ok(plain.finished.as_ref().map(|plain| plain.faults.weight()))
     }
 
     /// Solves again with rotations smoothed around faults, and keeps the best. Goes on while that helps, and while there are more
@@ -172,7 +192,7 @@ impl<'a> BuckleWatch<'a> {
         &self,
         surface: &FreeSurface<'_>,
         best: &mut Candidate,
-        without_fits: usize,
+        plain: &mut PlainPose,
         state: &mut SolveState,
     ) -> Result<(), Error> {
         let fits = best.turns.clone();
@@ -182,7 +202,7 @@ impl<'a> BuckleWatch<'a> {
         };
         let nearest = self.nearest();
         for _ in 0..ROUNDS {
-            let before = best.cost();
+            let before = best.faults.weight();
             let weights = self.weights_around(&best.faults, nearest, &mut places)?;
             let mut turns = fits.clone();
             for kind in [TurnChangeKind::Smooth, TurnChangeKind::FitPartly(REACH)] {
@@ -194,37 +214,42 @@ impl<'a> BuckleWatch<'a> {
                 let (solved, changed) =
                     (self.handles).solve_changed(&self.derived.body, &self.request, &change, state, self.exec)?;
                 turns.clone_from(&changed);
-                let candidate = self.finished(surface, solved, changed)?;
-                if candidate.cost() < best.cost() {
-                    *best = candidate;
+                if let Some(better) = self.finished(surface, solved, changed, &best.faults)? {
+                    *best = better;
                 }
-                if best.cost() == 0 {
+                if best.faults.weight() == 0 {
                     return Ok(());
                 }
             }
-            if best.cost() == before && best.cost() <= without_fits {
+            let now = best.faults.weight();
+            if now == before
+                && self
+                    .weigh(surface, plain, &best.faults)?
+                    .is_none_or(|fewest| now <= fewest)
+            {
                 return Ok(());
             }
         }
         Ok(())
     }
 
-    /// A solved pose with thin faces settled and folds brought back as in every commit, and its faults.
+    /// A solved pose with thin faces settled and folds brought back as in every commit, if it has fewer faults than `best`.
     fn finished(
         &self,
         surface: &FreeSurface<'_>,
         mut solved: SolvedNodes,
         turns: Vec<LocalRotation>,
-    ) -> Result<Candidate, Error> {
+        best: &SurfaceFaults,
+    ) -> Result<Option<Candidate>, Error> {
         let SolvedNodes { positions, frames, .. } = &mut solved;
         self.derived
             .thin
             .settle(&self.derived.body, self.handles, frames, positions, self.exec.pool);
         self.unfold(&mut solved);
-        let positions = &solved.positions;
         self.exec.progress.begin_pass("faults");
-        let faults = surface.faults(&positions[..self.derived.mesh.positions.len()], self.exec)?;
-        Ok(Candidate { solved, turns, faults })
+        let positions = &solved.positions[..self.derived.mesh.positions.len()];
+        let faults = surface.fewer_faults(positions, best, self.exec)?;
+        Ok(faults.map(|faults| Candidate { solved, turns, faults }))
     }
 
     /// How far smoothing reaches in the first round, model units.
@@ -248,8 +273,7 @@ impl<'a> BuckleWatch<'a> {
         places: &mut FaultPlaces,
     ) -> Result<Vec<f32>, Error> {
         let FaultPlaces { level, covered } = places;
-        let faces = faults.crossings.iter().chain(&faults.folds).flatten();
-        for &v in faces.flat_map(|&t| &self.derived.mesh.triangles[t as usize]) {
+        for &v in faults.faces().flat_map(|t| &self.derived.mesh.triangles[t as usize]) {
             level[v as usize] = level[v as usize].max(covered[v as usize] + 1);
         }
         let mut weights = vec![0.0f32; self.derived.body.nodes()];

@@ -42,6 +42,8 @@ pub(crate) struct RotationFit<'a> {
     is_plain: bool,
     /// In single precision, where the first pass is one for animations.
     quick: Option<QuickFit<'a>>,
+    /// The first pass's rotations by node, where they are asked for again and again.
+    remembered: Vec<DQuat>,
 }
 
 impl<'a> RotationFit<'a> {
@@ -68,6 +70,7 @@ impl<'a> RotationFit<'a> {
         Self {
             is_plain,
             quick,
+            remembered: Vec::new(),
             body,
             handles,
             blend,
@@ -89,8 +92,16 @@ impl<'a> RotationFit<'a> {
         self.moved_parts[self.body.graph.component[node] as usize] && self.handles.rotation.hard[node] == UNHELD
     }
 
+    /// Keeps the first pass's rotations at hand.
+    pub fn remember_first(&mut self, pool: &Pool) {
+        self.remembered = self.each(pool, |i| self.first(i));
+    }
+
     fn first(&self, node: usize) -> DQuat {
-        self.blend.rotation(node).unwrap_or(DQuat::IDENTITY)
+        match self.remembered.get(node) {
+            Some(first) => *first,
+            None => self.blend.rotation(node).unwrap_or(DQuat::IDENTITY),
+        }
     }
 
     /// The first pass's rotations.
@@ -140,10 +151,21 @@ impl<'a> RotationFit<'a> {
 
     /// One fit of all open nodes to `x` (solving coordinates, three numbers a node, any origin).
     pub fn step(&self, turns: &[LocalRotation], x: &[f64], pool: &Pool) -> Vec<LocalRotation> {
+        self.step_where(|i| self.is_open(i), turns, x, pool)
+    }
+
+    /// The same of some nodes, all of them open.
+    pub fn step_where(
+        &self,
+        is_fitted: impl Fn(usize) -> bool + Sync + Send,
+        turns: &[LocalRotation],
+        x: &[f64],
+        pool: &Pool,
+    ) -> Vec<LocalRotation> {
         if let Some(quick) = &self.quick {
-            return quick.step(turns, x, |i| self.is_open(i), pool);
+            return quick.step(turns, x, is_fitted, pool);
         }
-        self.each(pool, |i| match self.is_open(i) {
+        self.each(pool, |i| match is_fitted(i) {
             true if self.is_carried => pack_rotation(farther(unpack_rotation(turns[i]), self.fitted(i, turns, x))),
             true => pack_rotation(self.fitted(i, turns, x)),
             false => turns[i],

@@ -69,14 +69,15 @@ impl HandleSystem {
             exec,
         };
         let first = FirstRotations::of(body, self, request, exec.pool);
-        let fit = RotationFit::new(body, self, request, &moved_parts, &first);
+        let mut fit = RotationFit::new(body, self, request, &moved_parts, &first);
+        fit.remember_first(exec.pool);
         let TurnChange { kind, turns, weights } = *change;
         let is_open = |node: usize| fit.is_open(node) && weights[node] >= LEAST_WEIGHT;
         let added = match kind {
             TurnChangeKind::Smooth => smoothed(body, turns, weights, is_open),
             TurnChangeKind::FitPartly(reach) => {
                 let before = fit.resume(turns, exec.pool);
-                let after = fit.step(&before, &state.x, exec.pool);
+                let after = fit.step_where(is_open, &before, &state.x, exec.pool);
                 let between = |node: usize| match is_open(node) {
                     true => part_way(before[node], after[node], reach),
                     false => before[node],

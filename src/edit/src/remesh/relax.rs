@@ -30,9 +30,7 @@ pub fn relax_region(
     options: &SmoothOptions,
     progress: &dyn Progress,
 ) -> Result<SurfacePatch, Error> {
-    options.check()?;
-    let mesh = RegionMesh::with_frozen_ring(surface, faces)?;
-    options.check_moves(mesh.points.len(), MOST_MOVES)?;
+    let mesh = options.gather(surface, faces, MOST_MOVES)?;
     let plan = RemeshPlan {
         sizes: mean_lengths(&mesh),
         max_deviation: DEVIATION * BoundingBox::of(surface.positions).diagonal(),
