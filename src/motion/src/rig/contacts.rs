@@ -17,7 +17,9 @@ const PAUSE: f64 = 0.05;
 /// What of a foot stands in a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Standing {
-    /// The ball of the foot, at least.
+    /// The ball of the foot and the heel.
+    Flat,
+    /// The ball of the foot alone.
     Toe,
     /// The heel alone.
     Ankle,
@@ -39,7 +41,8 @@ impl FootTrack {
         let pairs = toe.iter().zip(&ankle);
         let mut standing: Vec<Option<Standing>> = pairs
             .map(|pair| match pair {
-                (true, _) => Some(Standing::Toe),
+                (true, true) => Some(Standing::Flat),
+                (true, false) => Some(Standing::Toe),
                 (false, true) => Some(Standing::Ankle),
                 _ => None,
             })

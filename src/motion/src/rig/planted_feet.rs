@@ -4,14 +4,17 @@
 //! first frame (`contacts`): by frame of the recording, a shift of each ankle and of the root. A shift goes against the drift of the
 //! point that stands, is nothing in the mean over a contact and passes smoothly to the next one or to nothing, so that nothing jumps
 //! where a contact begins or ends. The root moves with the feet that stand, so that legs keep their attitude where one foot stands
-//! alone, and is lowered where a leg would be too short. Legs are then turned for the rest (`leg_reach`).
+//! alone, and is lowered where a leg would be too short. Legs are then turned for the rest (`leg_reach`). Soles stand on the floor on which
+//! the figure stands in its rest pose, where a contact is not on another one. A foot that lies flat is level, and kept
+//! from trembling (`foot_attitudes`).
 
 use super::bones::MotionRig;
 use super::contacts::{FootTrack, SHORTEST, Standing, runs};
+use super::foot_attitudes::{evening_turns, levelling_tilt};
 use super::leg_reach::ReachingLeg;
 use super::legs::Leg;
 use super::rigid_motion::RigidMotion;
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use std::ops::Range;
 
 /// How long a shift lasts before and after a contact, in seconds.
@@ -22,10 +25,12 @@ const STRAIGHTEST: f64 = 0.99;
 const LOWEST: f64 = 0.15;
 /// An ankle is shifted by no more than this share of a leg; where it would be, a contact is ended sooner or begun later.
 const FARTHEST: f64 = 0.12;
-/// Half the time over which the lowering of the root is evened out, in seconds.
+/// What stands at most this share of a leg above or below the floor stands on it.
+const SAME_FLOOR: f64 = 0.06;
+/// Half the time over which the lowering of the root and the attitudes of flat feet are evened out, in seconds.
 const EVENED: f64 = 0.1;
 
-/// Most frames to either side of one over which the lowering of the root is evened out.
+/// The same in frames, at most.
 const MOST_EVENED: usize = 64;
 
 /// When the frames of a recording are, in seconds.
@@ -37,6 +42,13 @@ pub(super) struct RecordedTimes {
     pub(super) count: usize,
 }
 
+impl RecordedTimes {
+    /// Half the time over which something is evened out, in frames.
+    fn evened(&self) -> usize {
+        ((EVENED / self.interval).round() as usize).clamp(1, MOST_EVENED)
+    }
+}
+
 /// A foot, when it stands, and how far its ankle is shifted.
 #[derive(Debug, Clone, PartialEq)]
 struct PlantedFoot {
@@ -46,6 +58,10 @@ struct PlantedFoot {
     /// By frame of the recording.
     standing: Vec<Option<Standing>>,
     shifts: Vec<DVec3>,
+    /// How the foot is tilted in its rest pose.
+    tilt: DQuat,
+    /// How it is turned then beside the recording; empty for a leg without a foot.
+    turns: Vec<DQuat>,
 }
 
 /// Joints of a leg of a recording, in its units, the vertical along y.
@@ -60,6 +76,8 @@ pub(super) struct RecordedLeg {
 /// Where a leg is in the frames of a recording, as it is driven.
 struct DrivenLeg {
     hips: Vec<DVec3>,
+    /// The foot's attitudes.
+    attitudes: Vec<DQuat>,
     track: FootTrack,
     /// The same foot in the recording.
     recorded: FootTrack,
@@ -119,18 +137,27 @@ impl PlantedFeet {
                 leg.push(foot, &world, &recorded(seconds, &foot.reaching.leg));
             }
         }
-        for (foot, leg) in feet.iter_mut().zip(&moved) {
+        let half = times.evened();
+        for (foot, leg) in feet.iter_mut().zip(&mut moved) {
             foot.reaching.hinge = leg.bent.normalize_or(foot.reaching.hinge);
             foot.standing = leg.recorded.standing(up, times.interval);
+            let is_flat: Vec<bool> = foot.standing.iter().map(|s| *s == Some(Standing::Flat)).collect();
+            foot.tilt = levelling_tilt(&leg.attitudes, &is_flat, up);
+            foot.turns = evening_turns(&leg.attitudes, &is_flat, half);
+            leg.turn_foot(foot);
+        }
+        let above = height_above_floor(up, &feet, &moved);
+        for (foot, leg) in feet.iter_mut().zip(&moved) {
             foot.release(&leg.track, (SHORTEST / times.interval).round() as usize);
-            foot.shifts = foot.shifts_of(&leg.track, times.interval);
+            foot.shifts = foot.shifts_of(&leg.track, [up, up * above], times.interval);
         }
         let mut roots = carried_roots(&feet, times.interval);
-        let lowered = lowered(up, &feet, &moved, &roots, times.interval);
-        roots
-            .iter_mut()
-            .zip(lowered)
-            .for_each(|(root, lowered)| *root -= up * lowered);
+        let lowered = lowered(up, &feet, &moved, &roots, half);
+        for (root, lowered) in roots.iter_mut().zip(lowered) {
+            *root -= up * (lowered + above);
+        }
+        let shifts = feet.iter_mut().flat_map(|foot| &mut foot.shifts);
+        shifts.for_each(|shift| *shift -= up * above);
         let shifts = feet.iter().flat_map(|foot| &foot.shifts).chain(&roots);
         let is_finite = shifts.into_iter().all(|shift| shift.is_finite());
         is_finite.then(|| Self {
@@ -156,7 +183,14 @@ impl PlantedFeet {
         let (before, after, share) = self.around(seconds);
         let root = self.roots[before].lerp(self.roots[after], share);
         let shift = |foot: &PlantedFoot| foot.shifts[before].lerp(foot.shifts[after], share);
-        if root == DVec3::ZERO && self.feet.iter().all(|foot| shift(foot) == DVec3::ZERO) {
+        let turn = |foot: &PlantedFoot| match (foot.turns.get(before), foot.turns.get(after)) {
+            (Some(before), Some(after)) => before.lerp(*after, share).normalize(),
+            _ => DQuat::IDENTITY,
+        };
+        let is_moved = |foot: &PlantedFoot| {
+            shift(foot) != DVec3::ZERO || turn(foot) != DQuat::IDENTITY || foot.tilt != DQuat::IDENTITY
+        };
+        if root == DVec3::ZERO && !self.feet.iter().any(is_moved) {
             return;
         }
         let targets: Vec<DVec3> = (self.feet.iter())
@@ -164,13 +198,19 @@ impl PlantedFeet {
             .collect();
         world.iter_mut().for_each(|motion| motion.to += root);
         for (foot, target) in self.feet.iter().zip(targets) {
-            foot.reaching.reach(world, &self.parents, target);
+            let attitude = foot
+                .reaching
+                .leg
+                .foot
+                .map_or(DQuat::IDENTITY, |foot| world[foot].rotation);
+            let turn = turn(foot) * attitude * foot.tilt * attitude.inverse();
+            foot.reaching.reach(world, &self.parents, target, turn.normalize());
         }
     }
 
     /// What feet do at some times. `driven` has the bones as they are driven.
     pub(super) fn contacts(&self, times: &[f64], driven: impl Fn(f64) -> Vec<RigidMotion>) -> Vec<FootContacts> {
-        let both = [Standing::Toe, Standing::Ankle];
+        let both = [Standing::Flat, Standing::Ankle];
         let mut found: Vec<FootContacts> = self.feet.iter().map(PlantedFoot::no_contacts).collect();
         let mut steps = vec![0u32; self.feet.len()];
         let mut before: Vec<Option<(Standing, [[DVec3; 2]; 2])>> = vec![None; self.feet.len()];
@@ -223,6 +263,7 @@ impl DrivenLeg {
         };
         Self {
             hips: Vec::new(),
+            attitudes: Vec::new(),
             track: track(length),
             recorded: track(recorded),
             bent: DVec3::ZERO,
@@ -236,8 +277,20 @@ impl DrivenLeg {
         self.hips.push(hip);
         self.track.ankle.push(ankle);
         self.track.toe.push(foot.point(world, Standing::Toe));
+        if let Some(foot) = foot.reaching.leg.foot {
+            self.attitudes.push(world[foot].rotation);
+        }
         let back = world[foot.reaching.leg.thigh].rotation.inverse();
         self.bent += back * (knee - hip).cross(ankle - knee);
+    }
+
+    /// Turns and tilts the foot in each frame about its ankle.
+    fn turn_foot(&mut self, foot: &PlantedFoot) {
+        let ball = foot.tilt * (foot.toe - foot.reaching.rest[2]);
+        let ends = self.track.toe.iter_mut().zip(&self.track.ankle);
+        for ((toe, ankle), (turn, attitude)) in ends.zip(foot.turns.iter().zip(&self.attitudes)) {
+            *toe = *ankle + *turn * (*attitude * ball);
+        }
     }
 }
 
@@ -253,6 +306,8 @@ impl PlantedFoot {
             toe,
             standing: Vec::new(),
             shifts: Vec::new(),
+            tilt: DQuat::IDENTITY,
+            turns: Vec::new(),
         })
     }
 
@@ -269,7 +324,9 @@ impl PlantedFoot {
     fn point(&self, world: &[RigidMotion], point: Standing) -> DVec3 {
         match point {
             Standing::Ankle => self.reaching.joints(world)[2],
-            Standing::Toe => world[self.reaching.leg.foot.unwrap_or(self.reaching.leg.shin)].place(self.toe),
+            Standing::Toe | Standing::Flat => {
+                world[self.reaching.leg.foot.unwrap_or(self.reaching.leg.shin)].place(self.toe)
+            }
         }
     }
 
@@ -304,12 +361,19 @@ impl PlantedFoot {
         }
     }
 
-    /// By frame, by how much the ankle is shifted.
-    fn shifts_of(&self, track: &FootTrack, interval: f64) -> Vec<DVec3> {
+    /// By frame, by how much the ankle is shifted. `up` is the vertical, and how the floor is shifted.
+    fn shifts_of(&self, track: &FootTrack, [up, floor]: [DVec3; 2], interval: f64) -> Vec<DVec3> {
         let mut shifts = vec![DVec3::ZERO; self.standing.len()];
         let contacts = runs(&self.standing, Option::is_some);
         for run in &contacts {
             self.fill_contact(track, run.clone(), &mut shifts);
+            let on_ball = run.clone().filter(|k| self.standing[*k] != Some(Standing::Ankle));
+            let above = on_ball.map(|k| (track.toe[k] + shifts[k] - self.toe - floor).dot(up));
+            let (sum, count) = above.fold((0.0, 0.0), |(sum, count), above| (sum + above, count + 1.0));
+            let above = sum / f64::max(count, 1.0);
+            if above.abs() <= SAME_FLOOR * self.reaching.length() {
+                shifts[run.clone()].iter_mut().for_each(|shift| *shift -= up * above);
+            }
         }
         let blend = ((BLEND / interval).round() as usize).max(1);
         let gaps = runs(&self.standing, Option::is_none);
@@ -397,6 +461,19 @@ impl EdgeOfContact {
     }
 }
 
+/// How far balls of feet that stand are above where they are in the rest pose, in the mean.
+fn height_above_floor(up: DVec3, feet: &[PlantedFoot], moved: &[DrivenLeg]) -> f64 {
+    let (mut sum, mut count) = (0.0, 0usize);
+    for (foot, leg) in feet.iter().zip(moved) {
+        let standing = foot.standing.iter().zip(&leg.track.toe);
+        for (_, toe) in standing.filter(|(s, _)| s.is_some_and(|s| s != Standing::Ankle)) {
+            sum += (*toe - foot.toe).dot(up);
+            count += 1;
+        }
+    }
+    sum / count.max(1) as f64
+}
+
 /// By frame, the shift of the root that moves it with the feet that stand: the mean of theirs, each beginning and ending smoothly.
 fn carried_roots(feet: &[PlantedFoot], interval: f64) -> Vec<DVec3> {
     let blend = ((BLEND / interval).round() as usize).max(1);
@@ -426,7 +503,7 @@ fn carried_roots(feet: &[PlantedFoot], interval: f64) -> Vec<DVec3> {
 }
 
 /// By frame, how far the root is lowered, beside its own shift, so that all feet reach where they are shifted to.
-fn lowered(up: DVec3, feet: &[PlantedFoot], moved: &[DrivenLeg], roots: &[DVec3], interval: f64) -> Vec<f64> {
+fn lowered(up: DVec3, feet: &[PlantedFoot], moved: &[DrivenLeg], roots: &[DVec3], half: usize) -> Vec<f64> {
     let count = feet.first().map_or(0, |foot| foot.shifts.len());
     let needed = |k: usize| {
         let of_foot = |(foot, leg): (&PlantedFoot, &DrivenLeg)| {
@@ -445,7 +522,6 @@ fn lowered(up: DVec3, feet: &[PlantedFoot], moved: &[DrivenLeg], roots: &[DVec3]
         feet.iter().zip(moved).map(of_foot).fold(0.0, f64::max)
     };
     let needed: Vec<f64> = (0..count).map(needed).collect();
-    let half = ((EVENED / interval).round() as usize).clamp(1, MOST_EVENED);
     let window = |k: usize, half: usize| k.saturating_sub(half)..(k + half + 1).min(count);
     let most: Vec<f64> = (0..count)
         .map(|k| needed[window(k, 2 * half)].iter().copied().fold(0.0, f64::max))

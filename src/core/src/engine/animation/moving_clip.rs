@@ -117,6 +117,7 @@ impl MovingClip {
                 return Err(RigError::field("plantFeet", problem).into());
             }
         }
+        driver.follow_turns(start);
         check_reach(rig, &driver, times, range)?;
         self.warnings.iter().for_each(|warning| driver.warn(warning.clone()));
         if own.is_none() {
