@@ -66,6 +66,7 @@ impl Animation {
         }
         animation.feet = feet_of(&animation, &range, deformer.rest());
         animation.range = range;
+        animation.counts_crossings = request.counts_crossings;
         animation.beside = moving.beside;
         animation.own_clip = moving.own;
         if moving.own.is_some() {
