@@ -32,7 +32,7 @@ fn walker_of(legs: [f64; 2], plants: bool, feet: RecordedFeet) -> (Vec<f64>, Rig
     let times = (0..FRAMES).map(|frame| start + frame as f64 / RATE).collect();
     let mut driver = RigDriver::new(&rig, clip, &options).expect("a driver");
     if plants {
-        assert!(driver.plant_feet(&rig, start));
+        assert!(driver.plant_feet(&rig, &[], start));
     }
     (times, driver)
 }
@@ -105,7 +105,7 @@ fn a_figure_that_has_no_legs_is_driven_as_it_is() {
     let rig = MotionRig::from_named_parents(rig.bones, &parents, rig.reference, None).expect("a rig");
     let mut driver = RigDriver::new(&rig, walk(), &DriveOptions::default()).expect("a driver");
     let before = driver.pose_at(0.7);
-    assert!(!driver.plant_feet(&rig, 0.0));
+    assert!(!driver.plant_feet(&rig, &[], 0.0));
     assert_eq!(driver.pose_at(0.7), before);
 }
 

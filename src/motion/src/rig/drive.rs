@@ -8,7 +8,7 @@ use super::bone_pairs::{BonePair, Heading, heading_for_vertical, scale_of_bones,
 use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError, listed_names};
 use super::half_turns::{BoneTurns, HalfTurns};
 use super::legs::Leg;
-use super::planted_feet::{FootContacts, PlantedFeet, RecordedLeg, RecordedTimes};
+use super::planted_feet::{FootContacts, PlantedFeet, PlantedFoot, RecordedLeg, RecordedTimes};
 use super::rigid_motion::{RigidMotion, clear_twist, rotation_about};
 use crate::skeleton::MotionClip;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
@@ -198,9 +198,9 @@ impl RigDriver {
         Ok(driver)
     }
 
-    /// Keeps feet where they stand from `start` on, in seconds; answers whether the rig has legs that the clip's legs turn. A skin's own
+    /// Keeps feet where they stand from `start` on, in seconds, with soles made of the vertices `rest`; answers whether the rig has legs that the clip's legs turn. A skin's own
     /// clip stays as it is.
-    pub fn plant_feet(&mut self, rig: &MotionRig, start: f64) -> bool {
+    pub fn plant_feet(&mut self, rig: &MotionRig, rest: &[DVec3], start: f64) -> bool {
         if self.back_from_rest.is_some() {
             return false;
         }
@@ -208,7 +208,11 @@ impl RigDriver {
         let legs = Leg::all_of(rig, &self.clip.skeleton);
         let driven = |seconds: f64| self.fitted_motions(seconds);
         let recorded = |seconds: f64, leg: &Leg| self.recorded_leg(seconds, leg);
-        self.feet = PlantedFeet::of(rig, &legs, times, driven, recorded);
+        let feet = legs
+            .iter()
+            .filter_map(|leg| PlantedFoot::at_rest(*leg, rig, rest))
+            .collect();
+        self.feet = PlantedFeet::of(rig, feet, times, driven, recorded);
         self.feet.is_some()
     }
 

@@ -4,7 +4,8 @@
 //! turned as much. A figure's sole is flat as in its rest pose where the recorded foot is flat.
 //!
 //! Markers on toes are recorded less exactly than those on ankles: a foot that stands still turns to and fro by twenty degrees in some
-//! recordings, and a figure with long feet shows it. While a foot lies flat, its attitude is evened out over time.
+//! recordings, and a figure with long feet shows it. While a foot stands and its ankle is still, its attitude is
+//! evened out over time.
 
 use super::contacts::runs;
 use glam::{DQuat, DVec3};
@@ -23,9 +24,9 @@ pub(super) fn levelling_tilt(attitudes: &[DQuat], is_flat: &[bool], up: DVec3) -
     }
 }
 
-/// By frame, the turn that takes a foot's attitude to an evened one where it lies flat, and less in the frames before and after.
+/// By frame, the turn that takes a foot's attitude to an evened one where it is still, and less in the frames before and after.
 /// `half` is half the time over which attitudes are evened out, in frames.
-pub(super) fn evening_turns(attitudes: &[DQuat], is_flat: &[bool], half: usize) -> Vec<DQuat> {
+pub(super) fn evening_turns(attitudes: &[DQuat], is_still: &[bool], half: usize) -> Vec<DQuat> {
     let mut aligned = attitudes.to_vec();
     for k in 1..aligned.len() {
         if aligned[k].dot(aligned[k - 1]) < 0.0 {
@@ -33,9 +34,9 @@ pub(super) fn evening_turns(attitudes: &[DQuat], is_flat: &[bool], half: usize) 
         }
     }
     let evened = means(&means(&aligned, half), half);
-    let mut shares: Vec<f64> = is_flat.iter().map(|flat| if *flat { 1.0 } else { 0.0 }).collect();
+    let mut shares: Vec<f64> = is_still.iter().map(|still| if *still { 1.0 } else { 0.0 }).collect();
     let blend = 2 * half + 1;
-    for gap in runs(is_flat, |flat| !flat) {
+    for gap in runs(is_still, |still| !still) {
         for k in gap.clone() {
             let since = if gap.start > 0 { k + 1 - gap.start } else { blend };
             let until = if gap.end < attitudes.len() { gap.end - k } else { blend };

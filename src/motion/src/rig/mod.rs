@@ -19,6 +19,7 @@ mod legs;
 mod of_skin;
 mod planted_feet;
 mod rigid_motion;
+mod soles;
 
 pub(crate) use bones::listed_names;
 pub use bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError};

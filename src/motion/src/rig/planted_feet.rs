@@ -14,6 +14,7 @@ use super::foot_attitudes::{evening_turns, levelling_tilt};
 use super::leg_reach::ReachingLeg;
 use super::legs::Leg;
 use super::rigid_motion::RigidMotion;
+use super::soles::sole_points;
 use glam::{DQuat, DVec3};
 use std::ops::Range;
 
@@ -51,10 +52,12 @@ impl RecordedTimes {
 
 /// A foot, when it stands, and how far its ankle is shifted.
 #[derive(Debug, Clone, PartialEq)]
-struct PlantedFoot {
+pub(super) struct PlantedFoot {
     reaching: ReachingLeg,
     /// The ball of the foot in the rest pose.
     toe: DVec3,
+    /// Points of the sole in the rest pose, one at least.
+    sole: Vec<DVec3>,
     /// By frame of the recording.
     standing: Vec<Option<Standing>>,
     shifts: Vec<DVec3>,
@@ -79,6 +82,8 @@ struct DrivenLeg {
     /// The foot's attitudes.
     attitudes: Vec<DQuat>,
     track: FootTrack,
+    /// How high the lowest point of the sole is.
+    lowest: Vec<f64>,
     /// The same foot in the recording.
     recorded: FootTrack,
     /// The sum over frames of the axis about which the knee is bent, in the thigh's rest pose.
@@ -114,13 +119,12 @@ impl PlantedFeet {
     /// are driven, `recorded` a leg of the recording, in the model's space.
     pub(super) fn of(
         rig: &MotionRig,
-        legs: &[Leg],
+        mut feet: Vec<PlantedFoot>,
         times: RecordedTimes,
         driven: impl Fn(f64) -> Vec<RigidMotion>,
         recorded: impl Fn(f64, &Leg) -> RecordedLeg,
     ) -> Option<Self> {
         let up = rig.up.direction();
-        let mut feet: Vec<PlantedFoot> = legs.iter().filter_map(|leg| PlantedFoot::at_rest(*leg, rig)).collect();
         if feet.is_empty() {
             return None;
         }
@@ -143,13 +147,17 @@ impl PlantedFeet {
             foot.standing = leg.recorded.standing(up, times.interval);
             let is_flat: Vec<bool> = foot.standing.iter().map(|s| *s == Some(Standing::Flat)).collect();
             foot.tilt = levelling_tilt(&leg.attitudes, &is_flat, up);
-            foot.turns = evening_turns(&leg.attitudes, &is_flat, half);
-            leg.turn_foot(foot);
+            let rests = leg.recorded.ankle_rests(times.interval);
+            let is_still = rests.iter().zip(&foot.standing).map(|(rests, s)| *rests && s.is_some());
+            foot.turns = evening_turns(&leg.attitudes, &is_still.collect::<Vec<bool>>(), half);
+            leg.turn_foot(foot, up);
         }
-        let above = height_above_floor(up, &feet, &moved);
+        let floor = feet.iter().flat_map(|foot| &foot.sole).map(|p| p.dot(up));
+        let floor = floor.fold(f64::INFINITY, f64::min);
+        let above = height_of_feet(&feet, &moved).map_or(0.0, |height| height - floor);
         for (foot, leg) in feet.iter_mut().zip(&moved) {
             foot.release(&leg.track, (SHORTEST / times.interval).round() as usize);
-            foot.shifts = foot.shifts_of(&leg.track, [up, up * above], times.interval);
+            foot.shifts = foot.shifts_of(leg, [up, up * (floor + above)], times.interval);
         }
         let mut roots = carried_roots(&feet, times.interval);
         let lowered = lowered(up, &feet, &moved, &roots, half);
@@ -264,6 +272,7 @@ impl DrivenLeg {
         Self {
             hips: Vec::new(),
             attitudes: Vec::new(),
+            lowest: Vec::new(),
             track: track(length),
             recorded: track(recorded),
             bent: DVec3::ZERO,
@@ -285,25 +294,37 @@ impl DrivenLeg {
     }
 
     /// Turns and tilts the foot in each frame about its ankle.
-    fn turn_foot(&mut self, foot: &PlantedFoot) {
-        let ball = foot.tilt * (foot.toe - foot.reaching.rest[2]);
+    fn turn_foot(&mut self, foot: &PlantedFoot, up: DVec3) {
+        let below = |p: DVec3| foot.tilt * (p - foot.reaching.rest[2]);
+        let (ball, sole): (DVec3, Vec<DVec3>) = (below(foot.toe), foot.sole.iter().map(|p| below(*p)).collect());
         let ends = self.track.toe.iter_mut().zip(&self.track.ankle);
         for ((toe, ankle), (turn, attitude)) in ends.zip(foot.turns.iter().zip(&self.attitudes)) {
-            *toe = *ankle + *turn * (*attitude * ball);
+            let attitude = *turn * *attitude;
+            *toe = *ankle + attitude * ball;
+            let height = |p: &DVec3| (*ankle + attitude * *p).dot(up);
+            self.lowest.push(sole.iter().map(height).fold(f64::INFINITY, f64::min));
+        }
+        if self.lowest.is_empty() {
+            self.lowest = self.track.toe.iter().map(|toe| toe.dot(up)).collect();
         }
     }
 }
 
 impl PlantedFoot {
     /// A foot that stands nowhere yet; `None` for a leg with a bone without length.
-    fn at_rest(leg: Leg, rig: &MotionRig) -> Option<Self> {
+    pub(super) fn at_rest(leg: Leg, rig: &MotionRig, rest_vertices: &[DVec3]) -> Option<Self> {
         let rest = leg.rest_joints(rig);
         let toe = leg.foot.map_or(rest[2], |foot| rig.bones[foot].to);
+        let mut sole = sole_points(rig, &leg, rest_vertices);
+        if sole.is_empty() {
+            sole.push(toe);
+        }
         // Knees bend so that shins go back from where feet point.
         let hinge = rig.up.direction().cross(toe - rest[2]).normalize_or(DVec3::X);
         (rest[0] != rest[1] && rest[1] != rest[2]).then(|| Self {
             reaching: ReachingLeg { leg, rest, hinge },
             toe,
+            sole,
             standing: Vec::new(),
             shifts: Vec::new(),
             tilt: DQuat::IDENTITY,
@@ -361,16 +382,22 @@ impl PlantedFoot {
         }
     }
 
-    /// By frame, by how much the ankle is shifted. `up` is the vertical, and how the floor is shifted.
-    fn shifts_of(&self, track: &FootTrack, [up, floor]: [DVec3; 2], interval: f64) -> Vec<DVec3> {
+    /// By frame, by how much the ankle is shifted. `up` is the vertical, `floor` a point on the floor.
+    fn shifts_of(&self, leg: &DrivenLeg, [up, floor]: [DVec3; 2], interval: f64) -> Vec<DVec3> {
         let mut shifts = vec![DVec3::ZERO; self.standing.len()];
         let contacts = runs(&self.standing, Option::is_some);
         for run in &contacts {
-            self.fill_contact(track, run.clone(), &mut shifts);
-            let on_ball = run.clone().filter(|k| self.standing[*k] != Some(Standing::Ankle));
-            let above = on_ball.map(|k| (track.toe[k] + shifts[k] - self.toe - floor).dot(up));
-            let (sum, count) = above.fold((0.0, 0.0), |(sum, count), above| (sum + above, count + 1.0));
-            let above = sum / f64::max(count, 1.0);
+            self.fill_contact(&leg.track, run.clone(), &mut shifts);
+            let is_flat = |k: &usize| self.standing[*k] == Some(Standing::Flat);
+            let on_sole: Vec<usize> = match run.clone().any(|k| is_flat(&k)) {
+                true => run.clone().filter(is_flat).collect(),
+                false => run.clone().collect(),
+            };
+            let sum: f64 = on_sole
+                .iter()
+                .map(|k| leg.lowest[*k] + (shifts[*k] - floor).dot(up))
+                .sum();
+            let above = sum / on_sole.len() as f64;
             if above.abs() <= SAME_FLOOR * self.reaching.length() {
                 shifts[run.clone()].iter_mut().for_each(|shift| *shift -= up * above);
             }
@@ -461,17 +488,21 @@ impl EdgeOfContact {
     }
 }
 
-/// How far balls of feet that stand are above where they are in the rest pose, in the mean.
-fn height_above_floor(up: DVec3, feet: &[PlantedFoot], moved: &[DrivenLeg]) -> f64 {
+/// How high soles of feet that stand are, in the mean; `None` where none ever does.
+fn height_of_feet(feet: &[PlantedFoot], moved: &[DrivenLeg]) -> Option<f64> {
     let (mut sum, mut count) = (0.0, 0usize);
     for (foot, leg) in feet.iter().zip(moved) {
-        let standing = foot.standing.iter().zip(&leg.track.toe);
-        for (_, toe) in standing.filter(|(s, _)| s.is_some_and(|s| s != Standing::Ankle)) {
-            sum += (*toe - foot.toe).dot(up);
+        for (_, height) in foot
+            .standing
+            .iter()
+            .zip(&leg.lowest)
+            .filter(|(standing, _)| standing.is_some())
+        {
+            sum += height;
             count += 1;
         }
     }
-    sum / count.max(1) as f64
+    (count > 0).then(|| sum / count as f64)
 }
 
 /// By frame, the shift of the root that moves it with the feet that stand: the mean of theirs, each beginning and ending smoothly.

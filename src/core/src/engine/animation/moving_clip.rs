@@ -107,7 +107,7 @@ impl MovingClip {
         };
         let is_recording = matches!(request.clip, ClipSource::Bvh { .. });
         if request.plant_feet.unwrap_or(is_recording) {
-            let has_feet = driver.plant_feet(rig, start);
+            let has_feet = driver.plant_feet(rig, deformer.rest(), start);
             if !has_feet && request.plant_feet == Some(true) {
                 let problem = match own {
                     Some(_) => "is true, but the clip is that of the model's own skin, which plays as it is",
