@@ -214,7 +214,7 @@ fn draw_rig(model: &Model, made: &MadeRig, pool: &Pool) -> Result<Vec<u8>, CliFa
             .map(|bone| [turn * bone.from, turn * bone.to])
             .collect(),
         joints: (made.joints.iter())
-            .map(|joint| (turn * joint.at, joint.inside && !MadeRig::is_doubtful(joint)))
+            .map(|joint| (turn * joint.at, !MadeRig::is_doubtful(joint)))
             .collect(),
     };
     let mut sheet = Picture::new(u64::from(2 * VIEW.0), u64::from(VIEW.1), [255; 3])?;

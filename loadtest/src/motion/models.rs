@@ -100,6 +100,7 @@ pub(super) fn measure_own_clip(
         scale: None,
         plant_feet: None,
         quality: ANIMATION_QUALITY,
+        counts_crossings: false,
     };
     let limits = AnimationLimits {
         clip: ClipLimits::default(),

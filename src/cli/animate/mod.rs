@@ -72,6 +72,9 @@ pub struct AnimateArgs {
     /// Keep feet where they stand [default: of a recording whose legs drive the rig]
     #[arg(long, value_name = "BOOL")]
     plant_feet: Option<bool>,
+    /// Count pairs of triangles that cross in each frame, and those that do not cross at rest
+    #[arg(long)]
+    self_intersections: bool,
     /// Relative residual to reach
     #[arg(long)]
     tolerance: Option<f64>,
@@ -135,6 +138,7 @@ pub(in crate::cli) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> 
         scale,
         plant_feet: args.plant_feet,
         quality,
+        counts_crossings: args.self_intersections,
     };
     let limits = AnimationLimits {
         clip: ClipLimits::default(),
@@ -215,6 +219,12 @@ fn print_summary(report: &pb::AnimationReport, is_open: bool) {
             100.0 * foot.drift_before
         );
     }
+    if let Some((mean, worst)) = totals
+        .new_self_intersections_mean
+        .zip(totals.new_self_intersections_worst)
+    {
+        eprintln!("{mean:.1} pairs of triangles cross in a frame that do not at rest, at worst {worst}");
+    }
     eprintln!(
         "{} frames, {:.1} a second after {:.0} ms; volume {volume}; {:.1} triangles flipped a frame, at worst {}",
         totals.frames, totals.frames_per_second, ready, totals.flipped_triangles_mean, totals.flipped_triangles_worst
@@ -268,6 +278,9 @@ impl AnimateArgs {
         }
         if let Some(plant_feet) = self.plant_feet {
             identity += &format!("plant feet {plant_feet}\n");
+        }
+        if self.self_intersections {
+            identity += "crossings are counted\n";
         }
         let mut rig = None;
         if let Some(path) = &self.rig {

@@ -57,6 +57,8 @@ pub(super) fn play(
 
 fn frame_report(frame: &AnimatedFrame, ms: f64) -> pb::animation_report::FrameReport {
     let quality = &frame.quality;
+    let mut counted = QualityReport::default();
+    quality.tell_crossings(&mut counted);
     pb::animation_report::FrameReport {
         index: u32::try_from(frame.index).unwrap_or(u32::MAX),
         time: frame.seconds,
@@ -69,6 +71,8 @@ fn frame_report(frame: &AnimatedFrame, ms: f64) -> pb::animation_report::FrameRe
         digest: digest(&frame.positions),
         root_translation: (frame.root.to - frame.root.from).to_array().to_vec(),
         root_rotation: frame.root.rotation.to_array().to_vec(),
+        self_intersections: counted.self_intersections,
+        new_self_intersections: counted.new_self_intersections,
     }
 }
 
@@ -81,6 +85,8 @@ pub(super) fn frame_totals(frames: &[pb::animation_report::FrameReport], ms: f64
             flipped_triangles: frame.flipped_triangles,
             max_stretch: frame.max_stretch,
             edge_rms: frame.edge_rms,
+            self_intersections: frame.self_intersections,
+            new_self_intersections: frame.new_self_intersections,
             ..Default::default()
         });
     }

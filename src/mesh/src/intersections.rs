@@ -39,6 +39,42 @@ pub fn self_intersections(positions: &[DVec3], triangles: &[[u32; 3]], exec: &Ex
     Ok(count.into_inner())
 }
 
+/// How many pairs of triangles cross.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct CrossingCount {
+    /// All of them, as [`self_intersections`] counts.
+    pub all: u64,
+    /// Those that do not cross in the rest pose.
+    pub new: u64,
+}
+
+/// Counts the pairs of triangles that cross, and those of them that do not cross with positions in the rest pose, of the same vertices.
+///
+/// # Errors
+/// [`Cancelled`] when `progress` says so.
+///
+/// # Panics
+/// When a triangle names a position that does not exist, in either pose.
+pub fn count_crossings(
+    positions: &[DVec3],
+    rest: &[DVec3],
+    triangles: &[[u32; 3]],
+    exec: &Exec<'_>,
+) -> Result<CrossingCount, Cancelled> {
+    let rest: Vec<DVec3> = rest.iter().map(|p| p.as_vec3().as_dvec3()).collect();
+    let (all, new) = (AtomicU64::new(0), AtomicU64::new(0));
+    let count_one = |pair: [u32; 2]| {
+        all.fetch_add(1, Ordering::Relaxed);
+        let [a, b] = pair.map(|t| triangles[t as usize]);
+        new.fetch_add(u64::from(!do_cross(&rest, a, b)), Ordering::Relaxed);
+    };
+    visit_crossings(positions, triangles, None, &count_one, exec)?;
+    Ok(CrossingCount {
+        all: all.into_inner(),
+        new: new.into_inner(),
+    })
+}
+
 /// What a triangle of a surface crosses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub enum Crossing {

@@ -25,7 +25,9 @@ mod welded_mesh;
 pub use adjacency::{Adjacency, BoundaryLoop, Components, Lists, MeshEdge, boundary_loops, sorted_set};
 pub use error::{Error, shown_count};
 pub use inspect::{MeshReport, MeshWarning, PartReport, inspect};
-pub use intersections::{Crossing, crossing_triangles, is_crossing, self_intersections, visit_crossings};
+pub use intersections::{
+    Crossing, CrossingCount, count_crossings, crossing_triangles, is_crossing, self_intersections, visit_crossings,
+};
 pub use measure::{
     BoundingBox, brief_number, brief_point, grouped_count, mean_edge_length, signed_volume, surface_area,
 };

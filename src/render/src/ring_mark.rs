@@ -103,7 +103,7 @@ impl RingMark {
 pub const ROTATION_COLOUR: Rgb = [0x2f, 0x8f, 0x4e];
 /// What is put in place: joints, and what holds positions.
 pub const POSITION_COLOUR: Rgb = [0xe0, 0x7b, 0x18];
-const OUTSIDE: Rgb = [0xc8, 0x1e, 0x2b];
+const WRONG: Rgb = [0xc8, 0x1e, 0x2b];
 /// How much of the picture below is left.
 const GLASS: f64 = 0.45;
 
@@ -112,7 +112,7 @@ const GLASS: f64 = 0.45;
 pub struct BoneMarks {
     /// Where bones begin and end: green lines, thinner at the end.
     pub bones: Vec<[DVec3; 2]>,
-    /// Where joints are, and whether they are right, such as inside the model: orange discs, red ones where not.
+    /// Where joints are, and whether they are right: orange discs, red ones where not.
     pub joints: Vec<(DVec3, bool)>,
 }
 
@@ -140,7 +140,7 @@ impl BoneMarks {
                 picture,
                 [at, at],
                 [1.6 * thick; 2],
-                if *is_right { POSITION_COLOUR } else { OUTSIDE },
+                if *is_right { POSITION_COLOUR } else { WRONG },
             );
         }
     }
@@ -253,7 +253,7 @@ mod tests {
             picture.pixel(seen.x as u32, seen.y as u32)
         };
         assert_eq!(colour_at(DVec3::new(0.2, 0.2, 0.0)), Some(POSITION_COLOUR));
-        assert_eq!(colour_at(DVec3::new(0.9, 0.9, 0.0)), Some(OUTSIDE));
+        assert_eq!(colour_at(DVec3::new(0.9, 0.9, 0.0)), Some(WRONG));
         assert_eq!(colour_at(DVec3::new(0.4, 0.2, 0.0)), Some(ROTATION_COLOUR));
     }
 }

@@ -102,10 +102,6 @@ pub fn animate_order(options: &pb::AnimateOptions, max_window: u32, clip_bytes: 
     };
     let stream =
         DeformOptions::check(&stream, "", max_window).map_err(|e| renamed(e, |f| f.trim_matches('.').into()))?;
-    if stream.output.self_intersections {
-        let problem = "is for committed poses; frames of an animation are not searched for crossings";
-        return Err(Error::invalid("output.selfIntersections", problem));
-    }
     let request = ClipRequest {
         clip,
         rig: rig.map_err(of_rig)?,
@@ -118,6 +114,7 @@ pub fn animate_order(options: &pb::AnimateOptions, max_window: u32, clip_bytes: 
         )?,
         plant_feet: options.plant_feet,
         quality: quality(options)?,
+        counts_crossings: stream.output.self_intersections,
     };
     Ok(AnimateOrder {
         request,
@@ -278,6 +275,8 @@ pub fn animation_totals(sums: &FrameSums, ms: f64) -> Totals {
         flipped_triangles_worst: sums.flipped_triangles_worst,
         max_stretch: sums.max_stretch,
         edge_rms_mean: sums.edge_rms_mean(),
+        new_self_intersections_mean: sums.new_self_intersections_mean(),
+        new_self_intersections_worst: sums.new_self_intersections_worst,
     }
 }
 
@@ -325,10 +324,6 @@ mod tests {
     #[test]
     fn wrong_values_are_refused_with_field_and_what_is_allowed() {
         let options = pb::AnimateOptions::default;
-        let output = pb::Output {
-            self_intersections: true,
-            ..Default::default()
-        };
         let rig = pb::Rig {
             version: 7,
             ..Default::default()
@@ -402,13 +397,6 @@ mod tests {
                     ..options()
                 },
                 "bones: is 300, allowed are 1 to 256",
-            ),
-            (
-                pb::AnimateOptions {
-                    output: Some(output),
-                    ..options()
-                },
-                "output.selfIntersections: ",
             ),
             (
                 pb::AnimateOptions {

@@ -116,6 +116,7 @@ pub fn quality_message(quality: &QualityReport) -> pb::Quality {
         flipped_triangles: quality.flipped_triangles,
         max_stretch: quality.max_stretch,
         self_intersections: quality.self_intersections,
+        new_self_intersections: quality.new_self_intersections,
         off_rigid: quality.off_rigid,
         faces_too_large: quality.faces_too_large,
     }

@@ -14,6 +14,7 @@ pub const LIMITS: Limits = Limits {
     triangles: 40_000,
     decoded_bytes: 32 << 20,
     document_bytes: 32 << 20,
+    points_and_lines: true,
 };
 
 /// The companions that files may name: some bytes, and a material library.

@@ -19,6 +19,7 @@ const LIMITS: DeformerLimits = DeformerLimits {
         triangles: 800,
         decoded_bytes: 1 << 20,
         document_bytes: 1 << 20,
+        points_and_lines: true,
     },
     memory_bytes: 1 << 30,
     graph_bytes: None,

@@ -9,7 +9,7 @@ use crate::exec::Exec;
 use crate::mesh::local_turns::{is_turned_over, largest_stretch, vertex_gradients};
 use crate::mesh::query::TriangleBvh;
 use crate::mesh::rotation::fit_rotation;
-use crate::mesh::{self, BoundingBox, Mesh, shading};
+use crate::mesh::{self, BoundingBox, CrossingCount, Mesh, shading};
 use crate::pool::Pool;
 use crate::progress::Cancelled;
 use glam::{DMat3, DQuat, DVec3};
@@ -42,6 +42,7 @@ pub(super) fn measure_quality(mesh: &Mesh, closed: bool, deformed: &[DVec3], poo
         max_stretch,
         faces_too_large,
         self_intersections: None,
+        new_self_intersections: None,
         off_rigid: None,
     }
 }
@@ -57,9 +58,18 @@ pub struct FrameQuality {
     pub max_stretch: f64,
     /// As [`QualityReport::edge_rms`].
     pub edge_rms: f64,
+    /// Pairs of triangles that cross, when asked for.
+    pub crossings: Option<CrossingCount>,
 }
 
 impl FrameQuality {
+    /// Adds what was counted of crossings to a report.
+    pub fn tell_crossings(&self, report: &mut QualityReport) {
+        let narrow = |count: u64| u32::try_from(count).unwrap_or(u32::MAX);
+        report.self_intersections = self.crossings.map(|crossings| narrow(crossings.all));
+        report.new_self_intersections = self.crossings.map(|crossings| narrow(crossings.new));
+    }
+
     /// Measures a shape of which it is known what it does to each face: the numbers of [`measure_quality`] for less work.
     pub(super) fn measure(mesh: &Mesh, closed: bool, deformed: &[DVec3], faces: &FaceChanges, pool: &Pool) -> Self {
         let centers = [&mesh.positions, deformed].map(|p| BoundingBox::of(p).center());
@@ -71,6 +81,7 @@ impl FrameQuality {
             flipped_triangles: u32::try_from(faces.turned_over()).unwrap_or(u32::MAX),
             max_stretch: faces.largest_stretch(),
             edge_rms: sums.edge_rms(),
+            crossings: None,
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Feet of figures with other proportions than those of who was recorded.
 
-use crate::walker::{FRAMES, RATE, STEP, figure_rig, walk};
+use crate::walker::{FRAMES, RATE, RecordedFeet, STEP, figure_rig, walk, walk_of};
 use glam::DVec3;
 use pliant_core::motion::rig::{DriveOptions, MotionRig, RigDriver};
 
@@ -19,7 +19,11 @@ fn a_figure_with_long_arms_takes_steps_as_long_as_its_legs() {
 
 /// Times of the walk's frames, and the driver of a figure with these legs.
 fn walker(legs: [f64; 2], plants: bool) -> (Vec<f64>, RigDriver) {
-    let (rig, clip) = (figure_rig(1.0, legs), walk());
+    walker_of(legs, plants, RecordedFeet::default())
+}
+
+fn walker_of(legs: [f64; 2], plants: bool, feet: RecordedFeet) -> (Vec<f64>, RigDriver) {
+    let (rig, clip) = (figure_rig(1.0, legs), walk_of(feet));
     let start = 1.0 / RATE;
     let options = DriveOptions {
         start,
@@ -28,7 +32,7 @@ fn walker(legs: [f64; 2], plants: bool) -> (Vec<f64>, RigDriver) {
     let times = (0..FRAMES).map(|frame| start + frame as f64 / RATE).collect();
     let mut driver = RigDriver::new(&rig, clip, &options).expect("a driver");
     if plants {
-        assert!(driver.plant_feet(&rig, start));
+        assert!(driver.plant_feet(&rig, &[], start));
     }
     (times, driver)
 }
@@ -101,6 +105,47 @@ fn a_figure_that_has_no_legs_is_driven_as_it_is() {
     let rig = MotionRig::from_named_parents(rig.bones, &parents, rig.reference, None).expect("a rig");
     let mut driver = RigDriver::new(&rig, walk(), &DriveOptions::default()).expect("a driver");
     let before = driver.pose_at(0.7);
-    assert!(!driver.plant_feet(&rig, 0.0));
+    assert!(!driver.plant_feet(&rig, &[], 0.0));
     assert_eq!(driver.pose_at(0.7), before);
+}
+
+#[test]
+fn soles_that_stand_lie_level_on_the_floor_whatever_feet_were_recorded() {
+    for (legs, steeper) in [([0.45, 0.40], 20.0), ([0.9, 0.8], 0.0), ([0.2, 0.3], -15.0)] {
+        let (times, driver) = walker_of(legs, true, RecordedFeet { steeper, tremble: 0.0 });
+        let feet = driver.foot_contacts(&times);
+        let (rig, frames) = (figure_rig(1.0, legs), joints(&driver, legs, &times));
+        let mut seen = 0;
+        for foot in &feet {
+            let rest = &rig.bones[foot.bone];
+            for (seconds, frame) in times.iter().zip(&frames) {
+                let stands = |c: &[f64; 2]| c[0] - 1e-9 <= *seconds && *seconds <= c[1] + 1e-9;
+                if !foot.contacts.iter().any(stands) {
+                    continue;
+                }
+                seen += 1;
+                let [ankle, ball] = [frame[2 * foot.bone], frame[2 * foot.bone + 1]];
+                assert!(ball.y.abs() < 2e-3, "{legs:?}: the ball of the foot is at {}", ball.y);
+                let level = (rest.from - rest.to).y;
+                assert!(
+                    (ankle.y - ball.y - level).abs() < 2e-3,
+                    "{legs:?}: {} {level}",
+                    ankle.y - ball.y
+                );
+            }
+        }
+        assert!(seen >= 4 * STEP, "{seen}");
+    }
+}
+
+#[test]
+fn feet_that_tremble_in_the_recording_shake_no_leg() {
+    for legs in [[0.45, 0.40], [0.2, 0.2]] {
+        let jerk = |tremble: f64| {
+            let (times, driver) = walker_of(legs, true, RecordedFeet { steeper: 0.0, tremble });
+            largest_jerk(&joints(&driver, legs, &times))
+        };
+        let (calm, trembling) = (jerk(0.0), jerk(12.0));
+        assert!(trembling <= 1.5 * calm, "{legs:?}: {trembling} against {calm}");
+    }
 }

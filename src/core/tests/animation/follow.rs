@@ -4,7 +4,7 @@ use crate::arm::{ENDS, animate, arm_rig, clip_text, frames, open_arm};
 use glam::DVec3;
 use pliant_core::exec::Exec;
 use pliant_core::motion::bvh::{ClipLimits, read_bvh};
-use pliant_core::motion::rig::{DriveOptions, MotionRig, RigDriver, RigError};
+use pliant_core::motion::rig::{DriveOptions, MotionRig, RigDriver, RigError, rig_handles};
 use pliant_core::pool::Pool;
 use pliant_core::progress::Silent;
 
@@ -142,4 +142,38 @@ fn a_wrist_turned_by_150_degrees_keeps_its_volume() {
     assert!(sliced > -0.12 && flipped == 0, "{sliced}, {flipped} flipped");
     let (whole, _) = volume(1, Some(0));
     assert!(whole < sliced - 0.02, "three slices {sliced}, one {whole}");
+}
+
+/// A hand that is turned over by `degrees` in this many frames, and back.
+fn turned_over(degrees: f64) -> Vec<[f64; 2]> {
+    let angle = |k: i32| degrees * 0.5 * (1.0 - (std::f64::consts::TAU * f64::from(k) / 60.0).cos());
+    (0..=60).map(|k| [0.0, angle(k)]).collect()
+}
+
+#[test]
+fn a_wrist_that_is_turned_past_half_a_turn_flips_nothing() {
+    let largest = |degrees: f64| {
+        let clip = read_bvh(clip_text(0.0, &turned_over(degrees)).as_bytes(), &ClipLimits::default()).expect("a clip");
+        let rig = arm_rig(3);
+        let mut driver = RigDriver::new(&rig, clip, &DriveOptions::default()).expect("a driver");
+        driver.follow_turns(0.0);
+        let place = |frame: u32| -> Vec<DVec3> {
+            // Frames between those that were recorded, too.
+            let pose = driver.pose_at(f64::from(frame) * 0.25 * 0.0333333);
+            let beside = DVec3::new(0.0, 0.3, 0.4);
+            let handles = rig_handles(&rig).into_iter().map(|handle| handle.motion(&rig, &pose));
+            handles.map(|motion| motion.place(motion.from + beside)).collect()
+        };
+        let frames: Vec<Vec<DVec3>> = (0..=240).map(place).collect();
+        let step = |w: &[Vec<DVec3>]| w[0].iter().zip(&w[1]).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
+        frames.windows(2).map(step).fold(0.0, f64::max)
+    };
+    let usual = largest(150.0);
+    for degrees in [181.0, 200.0, 250.0] {
+        let found = largest(degrees);
+        assert!(
+            found <= 1.1 * usual * degrees / 150.0,
+            "{degrees}: {found} against {usual}"
+        );
+    }
 }

@@ -1,6 +1,6 @@
 //! A recording of a figure that walks, with feet that stand exactly, and rigs of figures with other proportions.
 
-use glam::DVec3;
+use glam::{DQuat, DVec3, EulerRot};
 use pliant_core::motion::MotionClip;
 use pliant_core::motion::bvh::{ClipLimits, read_bvh};
 use pliant_core::motion::rig::{MotionRig, ReferencePose, RestAttitude, RigBone};
@@ -48,8 +48,22 @@ fn leg_angles(hip: (f64, f64), ankle: (f64, f64)) -> [f64; 3] {
     [thigh, shin, -thigh - shin].map(f64::to_degrees)
 }
 
+/// How recorded feet stand.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct RecordedFeet {
+    /// How much steeper they are when they stand than in the T-pose, in degrees.
+    pub steeper: f64,
+    /// How far they turn about the vertical to and fro, from frame to frame, while they stand, in degrees.
+    pub tremble: f64,
+}
+
 /// The recording. Its first frame is the T-pose.
 pub fn walk() -> MotionClip {
+    walk_of(RecordedFeet::default())
+}
+
+/// The recording, with other feet.
+pub fn walk_of(feet: RecordedFeet) -> MotionClip {
     let turning = "CHANNELS 3 Zrotation Xrotation Yrotation";
     let mut text = String::from(
         "HIERARCHY\nROOT Hips\n{\nOFFSET 0 0 0\nCHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n",
@@ -88,9 +102,19 @@ pub fn walk() -> MotionClip {
         let hips = (STRIDE * (frame as f64 / STEP as f64 - 0.5), HIPS - 6.0);
         write!(text, "0 {} {} 0 0 0", hips.1, hips.0).expect("text");
         for late in [0, 1] {
-            for angle in leg_angles(hips, ankle(frame, late)) {
-                write!(text, " 0 {angle:.9} 0").expect("text");
-            }
+            let [thigh, shin, foot] = leg_angles(hips, ankle(frame, late));
+            let stands = (frame + late * STEP) % (2 * STEP) < STEP;
+            let way = if frame.is_multiple_of(2) {
+                feet.tremble
+            } else {
+                -feet.tremble
+            };
+            let turn = if stands { way } else { 0.0 };
+            // Turned about the vertical after it is level, and then made steeper.
+            let level = DQuat::from_rotation_x(foot.to_radians()) * DQuat::from_rotation_y(turn.to_radians());
+            let (z, x, y) = (level * DQuat::from_rotation_x(feet.steeper.to_radians())).to_euler(EulerRot::ZXY);
+            let [z, x, y] = [z, x, y].map(f64::to_degrees);
+            write!(text, " 0 {thigh:.9} 0 0 {shin:.9} 0 {z:.9} {x:.9} {y:.9}").expect("text");
         }
         writeln!(text, "{}", " 0 0 0".repeat(5)).expect("text");
     }

@@ -9,21 +9,17 @@ use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
 use rayon::prelude::*;
 
-/// Times that each vertex takes the mean of what is around it.
-const SWEEPS: usize = 12;
 /// Bones of a mean at most, the heaviest.
 const MOST: usize = 12;
-/// How many edges away from a jump vertices are fitted again.
-const RINGS: usize = 3;
 /// Vertices that one thread takes in a row.
 const RUN: usize = 256;
 
 /// Weights by bone, bones in rising order; they add up to one.
-pub(super) type MeanWeights = Vec<(u16, f64)>;
+pub(crate) type MeanWeights = Vec<(u16, f64)>;
 
 /// Which vertices of a mesh have an edge in common. Vertices at one place are one.
 #[derive(Debug, Clone, Default)]
-pub(super) struct JoinedVertices {
+pub(crate) struct JoinedVertices {
     /// By vertex: its place.
     place: Vec<u32>,
     /// By place: its first vertex.
@@ -36,7 +32,7 @@ pub(super) struct JoinedVertices {
 
 impl JoinedVertices {
     /// Finds them; `rest` has a position for each vertex. Triangles of vertices that are not there are left out.
-    pub(super) fn of_triangles(rest: &[DVec3], triangles: &[[u32; 3]]) -> Self {
+    pub(crate) fn of_triangles(rest: &[DVec3], triangles: &[[u32; 3]]) -> Self {
         let bits = |v: u32| rest[v as usize].to_array().map(|c| (c + 0.0).to_bits());
         let mut order: Vec<u32> = (0..rest.len() as u32).collect();
         order.sort_by_key(|v| (bits(*v), *v));
@@ -71,12 +67,13 @@ impl JoinedVertices {
     }
 
     /// Whether no vertices are joined.
-    pub(super) fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.neighbours.is_empty()
     }
 
-    /// The vertices in rising order that are on an edge across which a weight changes by more than `jump`, and those a few edges away.
-    pub(super) fn beside_jumps(&self, influences: &[BoneInfluences], jump: f64) -> Vec<u32> {
+    /// The vertices in rising order that are on an edge across which a weight changes by more than `jump`, and those up to `rings`
+    /// edges away.
+    pub(crate) fn beside_jumps(&self, influences: &[BoneInfluences], jump: f64, rings: usize) -> Vec<u32> {
         let own = |place: usize| &influences[self.first[place] as usize];
         let around = |place: usize| {
             let range = self.offsets[place] as usize..self.offsets[place + 1] as usize;
@@ -85,7 +82,7 @@ impl JoinedVertices {
         let mut is_near: Vec<bool> = (0..self.first.len())
             .map(|place| around(place).any(|other| largest_change(own(place), own(other)) > jump))
             .collect();
-        for _ in 0..RINGS {
+        for _ in 0..rings {
             is_near = (0..is_near.len())
                 .map(|place| is_near[place] || around(place).any(|other| is_near[other]))
                 .collect();
@@ -95,8 +92,13 @@ impl JoinedVertices {
             .collect()
     }
 
-    /// By vertex, the mean of the weights around it.
-    pub(super) fn means(&self, influences: &[BoneInfluences], exec: &Exec<'_>) -> Result<Vec<MeanWeights>, Cancelled> {
+    /// By vertex, the mean of the weights around it: each takes that of its neighbours so many times.
+    pub(crate) fn means(
+        &self,
+        influences: &[BoneInfluences],
+        sweeps: usize,
+        exec: &Exec<'_>,
+    ) -> Result<Vec<MeanWeights>, Cancelled> {
         let own = |v: &u32| {
             let mut weights: MeanWeights = influences[*v as usize].iter().map(|(b, w)| (b as u16, w)).collect();
             weights.sort_unstable_by_key(|w| w.0);
@@ -104,7 +106,7 @@ impl JoinedVertices {
         };
         let mut means: Vec<MeanWeights> = self.first.iter().map(own).collect();
         exec.pool.install(|| {
-            for _ in 0..SWEEPS {
+            for _ in 0..sweeps {
                 let all = (0..means.len()).into_par_iter().with_min_len(RUN);
                 means = all
                     .map(|place| {

@@ -22,6 +22,7 @@ use super::skeleton::BoneInfluences;
 use bone_fit::{BoneFrames, fit_bones};
 use clusters::{FittedSkin, cluster_bones, move_bones};
 use glam::{DMat3, DVec3};
+pub(crate) use joined::JoinedVertices;
 use joined::MeanWeights;
 use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
@@ -105,6 +106,12 @@ const MOST_DRAWN: f64 = 3e-2;
 const STRONGER: f64 = 2.0;
 /// The largest difference of a weight across an edge that is left alone.
 const JUMP: f64 = 0.45;
+/// Times that vertices take the mean of what is around them where weights are drawn to it.
+const MEAN_SWEEPS: usize = 12;
+/// How many edges away from a jump vertices are fitted again.
+const RINGS: usize = 3;
+/// Times that bones and weights are fitted in turn once weights do not jump.
+const SMOOTH_ROUNDS: usize = 5;
 /// Times that weights are drawn to the means around them where the bones' motions are given.
 const DRAWN_ROUNDS: usize = 3;
 /// Rounds after which bones that hardly matter are moved.
@@ -164,7 +171,7 @@ pub fn decompose(
         for _ in 0..if frames_of_all { 2 } else { LAST_ITERATIONS } {
             let found = match &influences {
                 Some(before) if !sequence.joined.is_empty() => {
-                    let means = sequence.joined.means(before, exec)?;
+                    let means = sequence.joined.means(before, MEAN_SWEEPS, exec)?;
                     fit_near_means(samples, &bones, most, &means, drawn, exec)?
                 }
                 before => {
@@ -180,6 +187,14 @@ pub fn decompose(
     let mut influences = influences.unwrap_or_default();
     if !sequence.joined.is_empty() {
         smooth_jumps(sequence, &bones, drawn, &mut influences, exec)?;
+        for _ in 0..SMOOTH_ROUNDS {
+            // Bones that follow weights without jumps leave less for the weights to do.
+            fit_bones(all, &influences, 3 * SWEEPS, &mut bones, exec)?;
+            let means = sequence.joined.means(&influences, MEAN_SWEEPS, exec)?;
+            influences = fit_near_means(all, &bones, most, &means, drawn, exec)?;
+            smooth_jumps(sequence, &bones, drawn, &mut influences, exec)?;
+        }
+        fit_bones(all, &influences, 3 * SWEEPS, &mut bones, exec)?;
     }
     Ok(in_model_units(sequence, &bones, influences, exec)?)
 }
@@ -259,7 +274,7 @@ pub fn fit_weights(
     if !sequence.joined.is_empty() {
         let drawn = strength_for(&errors, sequence.frames());
         for _ in 0..DRAWN_ROUNDS {
-            let means = sequence.joined.means(&influences, exec)?;
+            let means = sequence.joined.means(&influences, MEAN_SWEEPS, exec)?;
             influences = fit_near_means(&sequence.samples, &bones, most, &means, drawn, exec)?;
         }
         smooth_jumps(sequence, &bones, drawn, &mut influences, exec)?;
@@ -286,11 +301,11 @@ fn smooth_jumps(
     let most = influences.iter().map(|own| own.iter().count()).max().unwrap_or(1);
     let mut drawn = drawn * STRONGER;
     while drawn <= MOST_DRAWN {
-        let chosen = sequence.joined.beside_jumps(influences, JUMP);
+        let chosen = sequence.joined.beside_jumps(influences, JUMP, RINGS);
         if chosen.is_empty() {
             break;
         }
-        let all = sequence.joined.means(influences, exec)?;
+        let all = sequence.joined.means(influences, MEAN_SWEEPS, exec)?;
         let means: Vec<MeanWeights> = chosen.iter().map(|v| all[*v as usize].clone()).collect();
         let samples = sequence.samples.pick(&chosen, &frames);
         let found = fit_near_means(&samples, bones, most, &means, drawn, exec)?;

@@ -358,7 +358,7 @@ impl StandingFigure {
             })
             .collect();
         let mut judged = Judged::GOOD;
-        judged.lower(between(shoulder - self.legs.crotch, 0.12, 0.25), || {
+        judged.lower(between(shoulder - self.legs.crotch, 0.15, 0.25), || {
             "there is little trunk between hips and shoulders".into()
         });
         for (name, at) in TRUNK.iter().zip(place_chain(&line, &chain)) {

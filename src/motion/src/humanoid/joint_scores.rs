@@ -5,6 +5,9 @@ use super::body_search::{LegGap, PERSON};
 use super::figure::{BONE_STEPS, JudgedArms, PlacedBody, SIDES, StandingFigure};
 use glam::DVec3;
 
+/// No arm is above the neck this near to the middle, over how far its shoulder is from there.
+const OVER_NECK: f64 = 0.6;
+
 impl StandingFigure {
     /// Lowers the scores of all joints, or those of legs, by how the whole stands.
     pub(super) fn judge_stance(&self, arms: &JudgedArms, placed: &mut PlacedBody) {
@@ -64,9 +67,17 @@ impl StandingFigure {
                 placed.lower(name, 0.4, || "it lies outside of the model".into());
             }
         }
+        let neck = placed.at("neck").y;
         for side in &SIDES {
             let [hand, wrist, elbow, shoulder] = side.arm;
             let [hip, knee, ankle, _] = side.leg;
+            let out = (placed.at(shoulder).x - self.search.middle).abs();
+            for name in [hand, wrist, elbow] {
+                let at = placed.at(name);
+                if at.y > neck && (at.x - self.search.middle).abs() < OVER_NECK * out {
+                    placed.lower(name, 0.3, || "it lies in the neck or the head".into());
+                }
+            }
             for name in [hand, wrist, elbow, shoulder] {
                 let cell = lattice.cell_near(placed.at(name));
                 let is_deep =

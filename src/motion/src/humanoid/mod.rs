@@ -140,10 +140,45 @@ pub fn rig_of_body(
             reason: String::new(),
         });
     }
+    judge_inside(tree, [low, high], fixed, &mut reported);
     Ok(BodyRig {
         rig: MotionRig::from_named_parents(bones, &parents, reference, None)?,
         joints: reported.into_values().collect(),
     })
+}
+
+/// How far outside of a surface a joint may lie, over the size of the body: joints of figures of several parts lie in gaps.
+const BESIDE: f64 = 0.02;
+/// What is less deep than this part of its size is flat, and has no inside.
+const FLAT: f64 = 0.05;
+/// The score of a joint that lies outside.
+const OUTSIDE: f64 = 0.4;
+
+/// Lowers the scores of joints that lie outside of a body, beside its ends and those that were given. Where most do, the surface shows no
+/// inside, and nothing follows from it unless the body is flat.
+fn judge_inside(tree: &WindingTree, [low, high]: [DVec3; 2], fixed: &[&str], joints: &mut BTreeMap<&str, PlacedJoint>) {
+    let extent = high - low;
+    let is_end = |name: &str| name.ends_with("End") || name.ends_with("Toe") || fixed.contains(&name);
+    let all = joints.len();
+    let mut outside: Vec<&mut PlacedJoint> = joints
+        .values_mut()
+        .filter(|joint| !joint.inside && !is_end(&joint.name))
+        .collect();
+    let (is_flat, shows_none) = (
+        extent.min_element() < FLAT * extent.max_element(),
+        2 * outside.len() > all,
+    );
+    let beside = BESIDE * extent.max_element();
+    for joint in &mut outside {
+        let is_far = || !tree.bvh().has_triangle_within(joint.at, beside);
+        if is_flat || (!shows_none && is_far()) {
+            joint.score = OUTSIDE;
+            joint.reason = match is_flat {
+                true => "the model is flat, and has no inside".into(),
+                false => "it lies outside of the model".into(),
+            };
+        }
+    }
 }
 
 /// The joint where a bone ends: beyond those of the trunk that a clip lacks.

@@ -128,6 +128,11 @@ impl RigError {
 }
 
 impl MotionRig {
+    /// The bone in one piece that continues a limb: what it twists runs back into the bone that it hangs on.
+    pub(super) fn continued_by(&self, bone: usize) -> Option<usize> {
+        self.bones.iter().position(|b| b.parent == Some(bone) && b.slices < 2)
+    }
+
     /// The most bones of a rig.
     pub const MOST_BONES: usize = 1024;
     /// The largest coordinate and the largest scale: what is computed from such numbers is far from the end of doubles.

@@ -17,7 +17,9 @@ const PAUSE: f64 = 0.05;
 /// What of a foot stands in a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Standing {
-    /// The ball of the foot, at least.
+    /// The ball of the foot and the heel.
+    Flat,
+    /// The ball of the foot alone.
     Toe,
     /// The heel alone.
     Ankle,
@@ -32,6 +34,12 @@ pub(super) struct FootTrack {
 }
 
 impl FootTrack {
+    /// By frame, whether the ankle is still, however high: its foot then turns no more than it trembles.
+    pub(super) fn ankle_rests(&self, interval: f64) -> Vec<bool> {
+        let is_slow = |k: usize| speed_at(&self.ankle, k, interval) <= SPEED[0] * self.leg;
+        (0..self.ankle.len()).map(is_slow).collect()
+    }
+
     /// By frame, whether the foot stands; frames are `interval` seconds apart, `up` is the vertical.
     pub(super) fn standing(&self, up: DVec3, interval: f64) -> Vec<Option<Standing>> {
         let toe = contacts_of(&self.toe, up, self.leg, interval);
@@ -39,7 +47,8 @@ impl FootTrack {
         let pairs = toe.iter().zip(&ankle);
         let mut standing: Vec<Option<Standing>> = pairs
             .map(|pair| match pair {
-                (true, _) => Some(Standing::Toe),
+                (true, true) => Some(Standing::Flat),
+                (true, false) => Some(Standing::Toe),
                 (false, true) => Some(Standing::Ankle),
                 _ => None,
             })
@@ -72,17 +81,22 @@ pub(super) fn runs<T>(entries: &[T], holds: impl Fn(&T) -> bool) -> Vec<std::ops
     found
 }
 
+/// How fast a point is in a frame, in its units a second.
+fn speed_at(places: &[DVec3], frame: usize, interval: f64) -> f64 {
+    let half = ((HALF_SPAN / interval).round() as usize).max(1);
+    let (from, to) = (frame.saturating_sub(half), (frame + half).min(places.len() - 1));
+    let seconds = ((to - from).max(1)) as f64 * interval;
+    places[to].distance(places[from]) / seconds
+}
+
 /// By frame, whether a point stands: it begins to where it is low and slow, and goes on until it is clearly higher or faster.
 fn contacts_of(places: &[DVec3], up: DVec3, leg: f64, interval: f64) -> Vec<bool> {
     let mut heights: Vec<f64> = places.iter().map(|p| p.dot(up)).collect();
     heights.sort_unstable_by(f64::total_cmp);
     let floor = heights[(BELOW * heights.len() as f64) as usize];
-    let half = ((HALF_SPAN / interval).round() as usize).max(1);
     let mut stands = false;
     let contact = |k: usize| {
-        let (from, to) = (k.saturating_sub(half), (k + half).min(places.len() - 1));
-        let seconds = ((to - from).max(1)) as f64 * interval;
-        let speed = places[to].distance(places[from]) / seconds;
+        let speed = speed_at(places, k, interval);
         let allowed = usize::from(stands);
         stands = places[k].dot(up) - floor <= HEIGHT[allowed] * leg && speed <= SPEED[allowed] * leg;
         stands

@@ -6,9 +6,10 @@
 
 use super::bone_pairs::{BonePair, Heading, heading_for_vertical, scale_of_bones, scale_of_legs};
 use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError, listed_names};
+use super::half_turns::{BoneTurns, HalfTurns};
 use super::legs::Leg;
-use super::planted_feet::{FootContacts, PlantedFeet, RecordedLeg, RecordedTimes};
-use super::rigid_motion::{RigidMotion, rotation_about, twist_angle};
+use super::planted_feet::{FootContacts, PlantedFeet, PlantedFoot, RecordedLeg, RecordedTimes};
+use super::rigid_motion::{RigidMotion, clear_twist, rotation_about};
 use crate::skeleton::MotionClip;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use pliant_mesh::rotation::fit_rotation;
@@ -32,6 +33,8 @@ pub struct RigPose {
     pub root: RigidMotion,
     /// What each bone does as the root bone sees it, so that a turn of the whole changes nothing.
     pub bones: Vec<RigidMotion>,
+    /// By bone how it is turned against its neighbours.
+    pub turns: Vec<BoneTurns>,
 }
 
 /// A clip that drives a rig.
@@ -47,6 +50,7 @@ pub struct RigDriver {
     back_from_rest: Option<Vec<DAffine3>>,
     /// Where feet are kept that stand.
     feet: Option<PlantedFeet>,
+    half_turns: HalfTurns,
     warnings: Vec<String>,
 }
 
@@ -135,6 +139,7 @@ impl RigDriver {
             root_origin,
             back_from_rest: None,
             feet: None,
+            half_turns: HalfTurns::of(rig),
             warnings: clip.warnings.clone(),
             clip,
         };
@@ -193,21 +198,40 @@ impl RigDriver {
         Ok(driver)
     }
 
-    /// Keeps feet where they stand from `start` on, in seconds; answers whether the rig has legs that the clip's legs turn. A skin's own
+    /// Keeps feet where they stand from `start` on, in seconds, with soles made of the vertices `rest`; answers whether the rig has legs that the clip's legs turn. A skin's own
     /// clip stays as it is.
-    pub fn plant_feet(&mut self, rig: &MotionRig, start: f64) -> bool {
+    pub fn plant_feet(&mut self, rig: &MotionRig, rest: &[DVec3], start: f64) -> bool {
         if self.back_from_rest.is_some() {
             return false;
         }
-        let interval = self.clip.recorded.map_or(1.0 / UNRECORDED_RATE, |r| r.interval);
-        // Files round the time between frames.
-        let count = ((self.clip.duration - start).max(0.0) / interval + 1e-3) as usize + 1;
-        let times = RecordedTimes { start, interval, count };
+        let times = self.recorded_from(start);
         let legs = Leg::all_of(rig, &self.clip.skeleton);
         let driven = |seconds: f64| self.fitted_motions(seconds);
         let recorded = |seconds: f64, leg: &Leg| self.recorded_leg(seconds, leg);
-        self.feet = PlantedFeet::of(rig, &legs, times, driven, recorded);
+        let feet = legs
+            .iter()
+            .filter_map(|leg| PlantedFoot::at_rest(*leg, rig, rest))
+            .collect();
+        self.feet = PlantedFeet::of(rig, feet, times, driven, recorded);
         self.feet.is_some()
+    }
+
+    /// Follows turns of bones from `start` on, in seconds, so that none flips over where it passes half a turn.
+    pub fn follow_turns(&mut self, start: f64) {
+        let mut half_turns = std::mem::take(&mut self.half_turns);
+        let times = self.recorded_from(start);
+        half_turns.follow((0..times.count).map(|frame| {
+            let seconds = start + frame as f64 * times.interval;
+            (seconds, self.world_motions(seconds))
+        }));
+        self.half_turns = half_turns;
+    }
+
+    fn recorded_from(&self, start: f64) -> RecordedTimes {
+        let interval = self.clip.recorded.map_or(1.0 / UNRECORDED_RATE, |r| r.interval);
+        // Files round the time between frames.
+        let count = ((self.clip.duration - start).max(0.0) / interval + 1e-3) as usize + 1;
+        RecordedTimes { start, interval, count }
     }
 
     fn recorded_leg(&self, seconds: f64, leg: &Leg) -> RecordedLeg {
@@ -322,8 +346,10 @@ impl RigDriver {
     pub fn pose_at(&self, seconds: f64) -> RigPose {
         let world = self.world_motions(seconds);
         let root = world[0];
+        let bones: Vec<RigidMotion> = world.iter().map(|motion| motion.seen_from(&root)).collect();
         RigPose {
-            bones: world.iter().map(|motion| motion.seen_from(&root)).collect(),
+            turns: self.half_turns.at(seconds, &bones),
+            bones,
             root,
         }
     }
@@ -431,10 +457,8 @@ fn first_below_elsewhere(clip: &MotionClip, joint: usize, places: &[DVec3]) -> O
     None
 }
 
-/// From how many degrees on a twist is reported: near half a turn, the next frame may turn the other way round.
+/// From how many degrees on a twist is reported: so far no limb turns, and what hangs on it is wrung.
 const LARGEST_TWIST: f64 = 170.0;
-/// The twist of a bone that swings by more than 160 degrees is ignored: the square of the cosine of half of that.
-const LEAST_REPORTED: f64 = 0.03;
 /// How many bones are reported.
 const MOST_REPORTED: usize = 8;
 
@@ -449,11 +473,10 @@ impl RigDriver {
                 let Some((turn, axis)) = turn.zip(bone.direction()) else {
                     continue;
                 };
-                let along = turn.xyz().dot(axis);
-                if along * along + turn.w * turn.w < LEAST_REPORTED {
+                let Some(twist) = clear_twist(turn, axis) else {
                     continue;
-                }
-                let degrees = twist_angle(turn, axis).to_degrees().abs();
+                };
+                let degrees = twist.to_degrees().abs();
                 if degrees > LARGEST_TWIST && worst.is_none_or(|(most, _)| degrees > most) {
                     *worst = Some((degrees, frame));
                 }
@@ -464,7 +487,7 @@ impl RigDriver {
         for (bone, (degrees, frame)) in twisted.iter().take(MOST_REPORTED) {
             self.warn(format!(
                 "bone \"{bone}\" is twisted by {degrees:.0} degrees about its own axis in frame {frame}, against how it stands in \
-                 the reference pose; near half a turn it may flip to the other side"
+                 the reference pose"
             ));
         }
         if let Some(more @ 1..) = twisted.len().checked_sub(MOST_REPORTED) {

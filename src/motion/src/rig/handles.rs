@@ -6,7 +6,7 @@
 
 use super::bones::{MotionRig, RigBone};
 use super::drive::RigPose;
-use super::rigid_motion::{RigidMotion, half_way, rotation_about, twist_angle};
+use super::rigid_motion::{RigidMotion, half_way, rotation_about};
 use glam::DVec3;
 
 /// A cylinder's radius over its bone's.
@@ -41,7 +41,7 @@ pub enum RigHandleShape {
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Follows {
     /// The bone, less the part of its own twist that comes further along, and with the part of its child's that runs back.
-    Slice { bone: usize, at: f64, child: Option<usize> },
+    Slice { bone: usize, at: f64 },
     /// Where the bone begins, turned half-way between it and its parent.
     Joint { bone: usize },
     /// The bone.
@@ -62,7 +62,7 @@ pub struct RigHandle {
 pub fn rig_handles(rig: &MotionRig) -> Vec<RigHandle> {
     let mut handles = Vec::new();
     for (number, bone) in rig.bones.iter().enumerate() {
-        add_cylinders(rig, number, bone, &mut handles);
+        add_cylinders(number, bone, &mut handles);
     }
     for (number, bone) in rig.bones.iter().enumerate() {
         let is_shared = rig.bones[..number].iter().any(|b| b.from == bone.from);
@@ -92,7 +92,7 @@ pub fn rig_handles(rig: &MotionRig) -> Vec<RigHandle> {
     handles
 }
 
-fn add_cylinders(rig: &MotionRig, number: usize, bone: &RigBone, handles: &mut Vec<RigHandle>) {
+fn add_cylinders(number: usize, bone: &RigBone, handles: &mut Vec<RigHandle>) {
     if bone.direction().is_none() {
         return;
     }
@@ -111,9 +111,6 @@ fn add_cylinders(rig: &MotionRig, number: usize, bone: &RigBone, handles: &mut V
         });
         return;
     }
-    let child = (rig.bones.iter().enumerate())
-        .find(|(_, b)| b.parent == Some(number) && b.slices < 2)
-        .map(|c| c.0);
     let count = bone.slices as f64;
     for slice in 0..bone.slices {
         let middle = (slice as f64 + 0.5) / count;
@@ -129,7 +126,6 @@ fn add_cylinders(rig: &MotionRig, number: usize, bone: &RigBone, handles: &mut V
             follows: Follows::Slice {
                 bone: number,
                 at: middle,
-                child,
             },
         });
     }
@@ -154,21 +150,17 @@ impl RigHandle {
                 let own = pose.bones[bone];
                 let parent = rig.bones[bone].parent.map_or(own, |p| pose.bones[p]);
                 RigidMotion {
-                    rotation: half_way(parent.rotation, own.rotation),
+                    rotation: half_way(parent.rotation, own.rotation, pose.turns[bone].is_far),
                     ..own
                 }
             }
-            Follows::Slice { bone, at, child } => {
+            Follows::Slice { bone, at } => {
                 let own = pose.bones[bone];
                 let Some(axis) = rig.bones[bone].direction() else {
                     return own;
                 };
-                let twist = |below: RigidMotion, above: RigidMotion| {
-                    twist_angle(above.rotation.inverse() * below.rotation, axis)
-                };
-                let grows = rig.bones[bone].parent.map_or(0.0, |p| twist(own, pose.bones[p]));
-                let runs_back = child.map_or(0.0, |c| twist(pose.bones[c], own));
-                let angle = at * runs_back - (1.0 - at) * grows;
+                let turns = pose.turns[bone];
+                let angle = at * turns.below - (1.0 - at) * turns.above;
                 RigidMotion {
                     rotation: (own.rotation * rotation_about(axis, angle)).normalize(),
                     ..own

@@ -31,9 +31,9 @@ impl ReachingLeg {
         hip.distance(knee) + knee.distance(ankle)
     }
 
-    /// Turns thigh and shin so that the ankle comes to `target`, or as near as the leg is long. The foot keeps its attitude, and what
-    /// hangs on the bones follows them. `parents` has the bone that each hangs on.
-    pub(super) fn reach(&self, world: &mut [RigidMotion], parents: &[Option<usize>], target: DVec3) {
+    /// Turns thigh and shin so that the ankle comes to `target`, or as near as the leg is long. The foot is turned by `foot`
+    /// beside its attitude, and what hangs on the bones follows them. `parents` has the bone that each hangs on.
+    pub(super) fn reach(&self, world: &mut [RigidMotion], parents: &[Option<usize>], target: DVec3, foot: DQuat) {
         let [hip, knee, ankle] = self.joints(world);
         let (thigh, shin) = (knee - hip, ankle - knee);
         let (long, wanted) = (thigh.length() * shin.length(), target - hip);
@@ -45,18 +45,18 @@ impl ReachingLeg {
             return;
         };
         let swing = DQuat::from_rotation_arc(from, to);
-        self.turn(world, parents, [swing, (swing * bend).normalize()]);
+        self.turn(world, parents, [swing, (swing * bend).normalize(), foot]);
     }
 
-    /// Turns the thigh and the shin by these, and takes along what hangs on them.
-    fn turn(&self, world: &mut [RigidMotion], parents: &[Option<usize>], [thigh, shin]: [DQuat; 2]) {
+    /// Turns the thigh, the shin and the foot by these, and takes along what hangs on them.
+    fn turn(&self, world: &mut [RigidMotion], parents: &[Option<usize>], [thigh, shin, foot]: [DQuat; 3]) {
         let mut turns: Vec<Option<DQuat>> = vec![None; world.len()];
         for bone in self.leg.thigh..world.len() {
             let above = parents[bone].and_then(|parent| turns[parent]);
             let own = match bone {
                 _ if bone == self.leg.thigh => Some(thigh),
                 _ if bone == self.leg.shin => Some(shin),
-                _ if Some(bone) == self.leg.foot => Some(DQuat::IDENTITY),
+                _ if Some(bone) == self.leg.foot => Some(foot),
                 _ => above,
             };
             let Some(turn) = own else { continue };
@@ -126,7 +126,7 @@ mod tests {
                 DVec3::new(0.0, -9.0, 0.0),
             ] {
                 let mut world = posed(shin);
-                reaching.reach(&mut world, &parents, target);
+                reaching.reach(&mut world, &parents, target, DQuat::IDENTITY);
                 let [hip, knee, ankle] = reaching.joints(&world);
                 assert!((hip.distance(knee) - 0.45).abs() < 1e-12 && (knee.distance(ankle) - 0.40).abs() < 1e-12);
                 let way = target - hip;
@@ -143,7 +143,7 @@ mod tests {
             let same = posed(shin);
             let mut world = posed(shin);
             let here = reaching.joints(&world)[2];
-            reaching.reach(&mut world, &parents, here);
+            reaching.reach(&mut world, &parents, here, DQuat::IDENTITY);
             let worst = same
                 .iter()
                 .zip(&world)

@@ -4,14 +4,18 @@
 //! first frame (`contacts`): by frame of the recording, a shift of each ankle and of the root. A shift goes against the drift of the
 //! point that stands, is nothing in the mean over a contact and passes smoothly to the next one or to nothing, so that nothing jumps
 //! where a contact begins or ends. The root moves with the feet that stand, so that legs keep their attitude where one foot stands
-//! alone, and is lowered where a leg would be too short. Legs are then turned for the rest (`leg_reach`).
+//! alone, and is lowered where a leg would be too short. Legs are then turned for the rest (`leg_reach`). Soles stand on the floor on which
+//! the figure stands in its rest pose, where a contact is not on another one. A foot that lies flat is level, and kept
+//! from trembling (`foot_attitudes`).
 
 use super::bones::MotionRig;
 use super::contacts::{FootTrack, SHORTEST, Standing, runs};
+use super::foot_attitudes::{evening_turns, levelling_tilt};
 use super::leg_reach::ReachingLeg;
 use super::legs::Leg;
 use super::rigid_motion::RigidMotion;
-use glam::DVec3;
+use super::soles::sole_points;
+use glam::{DQuat, DVec3};
 use std::ops::Range;
 
 /// How long a shift lasts before and after a contact, in seconds.
@@ -22,10 +26,12 @@ const STRAIGHTEST: f64 = 0.99;
 const LOWEST: f64 = 0.15;
 /// An ankle is shifted by no more than this share of a leg; where it would be, a contact is ended sooner or begun later.
 const FARTHEST: f64 = 0.12;
-/// Half the time over which the lowering of the root is evened out, in seconds.
+/// What stands at most this share of a leg above or below the floor stands on it.
+const SAME_FLOOR: f64 = 0.06;
+/// Half the time over which the lowering of the root and the attitudes of flat feet are evened out, in seconds.
 const EVENED: f64 = 0.1;
 
-/// Most frames to either side of one over which the lowering of the root is evened out.
+/// The same in frames, at most.
 const MOST_EVENED: usize = 64;
 
 /// When the frames of a recording are, in seconds.
@@ -37,15 +43,28 @@ pub(super) struct RecordedTimes {
     pub(super) count: usize,
 }
 
+impl RecordedTimes {
+    /// Half the time over which something is evened out, in frames.
+    fn evened(&self) -> usize {
+        ((EVENED / self.interval).round() as usize).clamp(1, MOST_EVENED)
+    }
+}
+
 /// A foot, when it stands, and how far its ankle is shifted.
 #[derive(Debug, Clone, PartialEq)]
-struct PlantedFoot {
+pub(super) struct PlantedFoot {
     reaching: ReachingLeg,
     /// The ball of the foot in the rest pose.
     toe: DVec3,
+    /// Points of the sole in the rest pose, one at least.
+    sole: Vec<DVec3>,
     /// By frame of the recording.
     standing: Vec<Option<Standing>>,
     shifts: Vec<DVec3>,
+    /// How the foot is tilted in its rest pose.
+    tilt: DQuat,
+    /// How it is turned then beside the recording; empty for a leg without a foot.
+    turns: Vec<DQuat>,
 }
 
 /// Joints of a leg of a recording, in its units, the vertical along y.
@@ -60,7 +79,11 @@ pub(super) struct RecordedLeg {
 /// Where a leg is in the frames of a recording, as it is driven.
 struct DrivenLeg {
     hips: Vec<DVec3>,
+    /// The foot's attitudes.
+    attitudes: Vec<DQuat>,
     track: FootTrack,
+    /// How high the lowest point of the sole is.
+    lowest: Vec<f64>,
     /// The same foot in the recording.
     recorded: FootTrack,
     /// The sum over frames of the axis about which the knee is bent, in the thigh's rest pose.
@@ -96,13 +119,12 @@ impl PlantedFeet {
     /// are driven, `recorded` a leg of the recording, in the model's space.
     pub(super) fn of(
         rig: &MotionRig,
-        legs: &[Leg],
+        mut feet: Vec<PlantedFoot>,
         times: RecordedTimes,
         driven: impl Fn(f64) -> Vec<RigidMotion>,
         recorded: impl Fn(f64, &Leg) -> RecordedLeg,
     ) -> Option<Self> {
         let up = rig.up.direction();
-        let mut feet: Vec<PlantedFoot> = legs.iter().filter_map(|leg| PlantedFoot::at_rest(*leg, rig)).collect();
         if feet.is_empty() {
             return None;
         }
@@ -119,18 +141,31 @@ impl PlantedFeet {
                 leg.push(foot, &world, &recorded(seconds, &foot.reaching.leg));
             }
         }
-        for (foot, leg) in feet.iter_mut().zip(&moved) {
+        let half = times.evened();
+        for (foot, leg) in feet.iter_mut().zip(&mut moved) {
             foot.reaching.hinge = leg.bent.normalize_or(foot.reaching.hinge);
             foot.standing = leg.recorded.standing(up, times.interval);
+            let is_flat: Vec<bool> = foot.standing.iter().map(|s| *s == Some(Standing::Flat)).collect();
+            foot.tilt = levelling_tilt(&leg.attitudes, &is_flat, up);
+            let rests = leg.recorded.ankle_rests(times.interval);
+            let is_still = rests.iter().zip(&foot.standing).map(|(rests, s)| *rests && s.is_some());
+            foot.turns = evening_turns(&leg.attitudes, &is_still.collect::<Vec<bool>>(), half);
+            leg.turn_foot(foot, up);
+        }
+        let floor = feet.iter().flat_map(|foot| &foot.sole).map(|p| p.dot(up));
+        let floor = floor.fold(f64::INFINITY, f64::min);
+        let above = height_of_feet(&feet, &moved).map_or(0.0, |height| height - floor);
+        for (foot, leg) in feet.iter_mut().zip(&moved) {
             foot.release(&leg.track, (SHORTEST / times.interval).round() as usize);
-            foot.shifts = foot.shifts_of(&leg.track, times.interval);
+            foot.shifts = foot.shifts_of(leg, [up, up * (floor + above)], times.interval);
         }
         let mut roots = carried_roots(&feet, times.interval);
-        let lowered = lowered(up, &feet, &moved, &roots, times.interval);
-        roots
-            .iter_mut()
-            .zip(lowered)
-            .for_each(|(root, lowered)| *root -= up * lowered);
+        let lowered = lowered(up, &feet, &moved, &roots, half);
+        for (root, lowered) in roots.iter_mut().zip(lowered) {
+            *root -= up * (lowered + above);
+        }
+        let shifts = feet.iter_mut().flat_map(|foot| &mut foot.shifts);
+        shifts.for_each(|shift| *shift -= up * above);
         let shifts = feet.iter().flat_map(|foot| &foot.shifts).chain(&roots);
         let is_finite = shifts.into_iter().all(|shift| shift.is_finite());
         is_finite.then(|| Self {
@@ -156,7 +191,14 @@ impl PlantedFeet {
         let (before, after, share) = self.around(seconds);
         let root = self.roots[before].lerp(self.roots[after], share);
         let shift = |foot: &PlantedFoot| foot.shifts[before].lerp(foot.shifts[after], share);
-        if root == DVec3::ZERO && self.feet.iter().all(|foot| shift(foot) == DVec3::ZERO) {
+        let turn = |foot: &PlantedFoot| match (foot.turns.get(before), foot.turns.get(after)) {
+            (Some(before), Some(after)) => before.lerp(*after, share).normalize(),
+            _ => DQuat::IDENTITY,
+        };
+        let is_moved = |foot: &PlantedFoot| {
+            shift(foot) != DVec3::ZERO || turn(foot) != DQuat::IDENTITY || foot.tilt != DQuat::IDENTITY
+        };
+        if root == DVec3::ZERO && !self.feet.iter().any(is_moved) {
             return;
         }
         let targets: Vec<DVec3> = (self.feet.iter())
@@ -164,13 +206,19 @@ impl PlantedFeet {
             .collect();
         world.iter_mut().for_each(|motion| motion.to += root);
         for (foot, target) in self.feet.iter().zip(targets) {
-            foot.reaching.reach(world, &self.parents, target);
+            let attitude = foot
+                .reaching
+                .leg
+                .foot
+                .map_or(DQuat::IDENTITY, |foot| world[foot].rotation);
+            let turn = turn(foot) * attitude * foot.tilt * attitude.inverse();
+            foot.reaching.reach(world, &self.parents, target, turn.normalize());
         }
     }
 
     /// What feet do at some times. `driven` has the bones as they are driven.
     pub(super) fn contacts(&self, times: &[f64], driven: impl Fn(f64) -> Vec<RigidMotion>) -> Vec<FootContacts> {
-        let both = [Standing::Toe, Standing::Ankle];
+        let both = [Standing::Flat, Standing::Ankle];
         let mut found: Vec<FootContacts> = self.feet.iter().map(PlantedFoot::no_contacts).collect();
         let mut steps = vec![0u32; self.feet.len()];
         let mut before: Vec<Option<(Standing, [[DVec3; 2]; 2])>> = vec![None; self.feet.len()];
@@ -223,6 +271,8 @@ impl DrivenLeg {
         };
         Self {
             hips: Vec::new(),
+            attitudes: Vec::new(),
+            lowest: Vec::new(),
             track: track(length),
             recorded: track(recorded),
             bent: DVec3::ZERO,
@@ -236,23 +286,49 @@ impl DrivenLeg {
         self.hips.push(hip);
         self.track.ankle.push(ankle);
         self.track.toe.push(foot.point(world, Standing::Toe));
+        if let Some(foot) = foot.reaching.leg.foot {
+            self.attitudes.push(world[foot].rotation);
+        }
         let back = world[foot.reaching.leg.thigh].rotation.inverse();
         self.bent += back * (knee - hip).cross(ankle - knee);
+    }
+
+    /// Turns and tilts the foot in each frame about its ankle.
+    fn turn_foot(&mut self, foot: &PlantedFoot, up: DVec3) {
+        let below = |p: DVec3| foot.tilt * (p - foot.reaching.rest[2]);
+        let (ball, sole): (DVec3, Vec<DVec3>) = (below(foot.toe), foot.sole.iter().map(|p| below(*p)).collect());
+        let ends = self.track.toe.iter_mut().zip(&self.track.ankle);
+        for ((toe, ankle), (turn, attitude)) in ends.zip(foot.turns.iter().zip(&self.attitudes)) {
+            let attitude = *turn * *attitude;
+            *toe = *ankle + attitude * ball;
+            let height = |p: &DVec3| (*ankle + attitude * *p).dot(up);
+            self.lowest.push(sole.iter().map(height).fold(f64::INFINITY, f64::min));
+        }
+        if self.lowest.is_empty() {
+            self.lowest = self.track.toe.iter().map(|toe| toe.dot(up)).collect();
+        }
     }
 }
 
 impl PlantedFoot {
     /// A foot that stands nowhere yet; `None` for a leg with a bone without length.
-    fn at_rest(leg: Leg, rig: &MotionRig) -> Option<Self> {
+    pub(super) fn at_rest(leg: Leg, rig: &MotionRig, rest_vertices: &[DVec3]) -> Option<Self> {
         let rest = leg.rest_joints(rig);
         let toe = leg.foot.map_or(rest[2], |foot| rig.bones[foot].to);
+        let mut sole = sole_points(rig, &leg, rest_vertices);
+        if sole.is_empty() {
+            sole.push(toe);
+        }
         // Knees bend so that shins go back from where feet point.
         let hinge = rig.up.direction().cross(toe - rest[2]).normalize_or(DVec3::X);
         (rest[0] != rest[1] && rest[1] != rest[2]).then(|| Self {
             reaching: ReachingLeg { leg, rest, hinge },
             toe,
+            sole,
             standing: Vec::new(),
             shifts: Vec::new(),
+            tilt: DQuat::IDENTITY,
+            turns: Vec::new(),
         })
     }
 
@@ -269,7 +345,9 @@ impl PlantedFoot {
     fn point(&self, world: &[RigidMotion], point: Standing) -> DVec3 {
         match point {
             Standing::Ankle => self.reaching.joints(world)[2],
-            Standing::Toe => world[self.reaching.leg.foot.unwrap_or(self.reaching.leg.shin)].place(self.toe),
+            Standing::Toe | Standing::Flat => {
+                world[self.reaching.leg.foot.unwrap_or(self.reaching.leg.shin)].place(self.toe)
+            }
         }
     }
 
@@ -304,12 +382,25 @@ impl PlantedFoot {
         }
     }
 
-    /// By frame, by how much the ankle is shifted.
-    fn shifts_of(&self, track: &FootTrack, interval: f64) -> Vec<DVec3> {
+    /// By frame, by how much the ankle is shifted. `up` is the vertical, `floor` a point on the floor.
+    fn shifts_of(&self, leg: &DrivenLeg, [up, floor]: [DVec3; 2], interval: f64) -> Vec<DVec3> {
         let mut shifts = vec![DVec3::ZERO; self.standing.len()];
         let contacts = runs(&self.standing, Option::is_some);
         for run in &contacts {
-            self.fill_contact(track, run.clone(), &mut shifts);
+            self.fill_contact(&leg.track, run.clone(), &mut shifts);
+            let is_flat = |k: &usize| self.standing[*k] == Some(Standing::Flat);
+            let on_sole: Vec<usize> = match run.clone().any(|k| is_flat(&k)) {
+                true => run.clone().filter(is_flat).collect(),
+                false => run.clone().collect(),
+            };
+            let sum: f64 = on_sole
+                .iter()
+                .map(|k| leg.lowest[*k] + (shifts[*k] - floor).dot(up))
+                .sum();
+            let above = sum / on_sole.len() as f64;
+            if above.abs() <= SAME_FLOOR * self.reaching.length() {
+                shifts[run.clone()].iter_mut().for_each(|shift| *shift -= up * above);
+            }
         }
         let blend = ((BLEND / interval).round() as usize).max(1);
         let gaps = runs(&self.standing, Option::is_none);
@@ -397,6 +488,23 @@ impl EdgeOfContact {
     }
 }
 
+/// How high soles of feet that stand are, in the mean; `None` where none ever does.
+fn height_of_feet(feet: &[PlantedFoot], moved: &[DrivenLeg]) -> Option<f64> {
+    let (mut sum, mut count) = (0.0, 0usize);
+    for (foot, leg) in feet.iter().zip(moved) {
+        for (_, height) in foot
+            .standing
+            .iter()
+            .zip(&leg.lowest)
+            .filter(|(standing, _)| standing.is_some())
+        {
+            sum += height;
+            count += 1;
+        }
+    }
+    (count > 0).then(|| sum / count as f64)
+}
+
 /// By frame, the shift of the root that moves it with the feet that stand: the mean of theirs, each beginning and ending smoothly.
 fn carried_roots(feet: &[PlantedFoot], interval: f64) -> Vec<DVec3> {
     let blend = ((BLEND / interval).round() as usize).max(1);
@@ -426,7 +534,7 @@ fn carried_roots(feet: &[PlantedFoot], interval: f64) -> Vec<DVec3> {
 }
 
 /// By frame, how far the root is lowered, beside its own shift, so that all feet reach where they are shifted to.
-fn lowered(up: DVec3, feet: &[PlantedFoot], moved: &[DrivenLeg], roots: &[DVec3], interval: f64) -> Vec<f64> {
+fn lowered(up: DVec3, feet: &[PlantedFoot], moved: &[DrivenLeg], roots: &[DVec3], half: usize) -> Vec<f64> {
     let count = feet.first().map_or(0, |foot| foot.shifts.len());
     let needed = |k: usize| {
         let of_foot = |(foot, leg): (&PlantedFoot, &DrivenLeg)| {
@@ -445,7 +553,6 @@ fn lowered(up: DVec3, feet: &[PlantedFoot], moved: &[DrivenLeg], roots: &[DVec3]
         feet.iter().zip(moved).map(of_foot).fold(0.0, f64::max)
     };
     let needed: Vec<f64> = (0..count).map(needed).collect();
-    let half = ((EVENED / interval).round() as usize).clamp(1, MOST_EVENED);
     let window = |k: usize, half: usize| k.saturating_sub(half)..(k + half + 1).min(count);
     let most: Vec<f64> = (0..count)
         .map(|k| needed[window(k, 2 * half)].iter().copied().fold(0.0, f64::max))

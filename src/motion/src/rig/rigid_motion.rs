@@ -80,15 +80,24 @@ pub(super) fn twist_angle(rotation: DQuat, axis: DVec3) -> f64 {
     }
 }
 
+/// A twist of a bone that swings by more than 160 degrees is not clear: the square of the cosine of half of that.
+const LEAST_CLEAR: f64 = 0.03;
+
+/// The same; `None` where the axis is swung so far that the twist is not clear.
+pub(super) fn clear_twist(rotation: DQuat, axis: DVec3) -> Option<f64> {
+    let (along, w) = (rotation.xyz().dot(axis), rotation.w);
+    (along * along + w * w >= LEAST_CLEAR).then(|| twist_angle(rotation, axis))
+}
+
 /// A rotation by an angle about a unit axis.
 pub(super) fn rotation_about(axis: DVec3, angle: f64) -> DQuat {
     let axis = axis * libm::sin(0.5 * angle);
     DQuat::from_xyzw(axis.x, axis.y, axis.z, libm::cos(0.5 * angle))
 }
 
-/// Half-way between two rotations, along the shorter way.
-pub(super) fn half_way(a: DQuat, b: DQuat) -> DQuat {
-    let sum = if a.dot(b) < 0.0 { a - b } else { a + b };
+/// Half-way between two rotations, along the shorter way, or along the other one.
+pub(super) fn half_way(a: DQuat, b: DQuat, is_far: bool) -> DQuat {
+    let sum = if (a.dot(b) < 0.0) != is_far { a - b } else { a + b };
     match sum.length_squared() > 1e-12 {
         true => sum.normalize(),
         false => a,

@@ -3,6 +3,7 @@
 //! Cells of a cubic lattice that a mesh occupies, all its parts together.
 
 use super::HeaviestWeights;
+use super::even_jumps::even_jumps;
 use crate::skeleton::BoneInfluences;
 use glam::DVec3;
 use pliant_exec::Exec;
@@ -90,6 +91,10 @@ const EQUAL: f64 = 1e-6;
 const SHARING: usize = 32;
 /// Cells that one thread takes in a row.
 const RUN: usize = 256;
+/// Cells with something of the mesh in them at most, about: what fills its box needs fewer than what is thin.
+const OCCUPIED: usize = 1 << 17;
+/// Cells that tell how much of its box a mesh fills.
+const FEW_CELLS: usize = 1 << 15;
 
 /// Weights of all vertices for bones that run from one point to another. Each vertex follows at least one bone.
 ///
@@ -120,7 +125,7 @@ pub fn skin_weights(
     exec: &Exec<'_>,
 ) -> Result<Vec<BoneInfluences>, SkinWeightError> {
     check(positions, triangles, bones, options)?;
-    let cells = OccupiedCells::find(positions, triangles, options.cells, exec)?;
+    let cells = bound_cells(positions, triangles, options.cells, exec)?;
     let pulls = pulls(&cells, bones, options.stiffness, exec)?;
     let (offsets, neighbours) = cells.rows();
     let nodes = cells.places.len();
@@ -189,12 +194,31 @@ pub fn skin_weights(
             let parts = around[..count].iter().map(|(node, w)| (&of_cells[*node as usize], *w));
             Ok(cut.few(&HeaviestWeights::of_mixture(parts), *p))
         });
-        found.collect()
+        let mut found: Vec<BoneInfluences> = found.collect::<Result<_, Cancelled>>()?;
+        even_jumps(positions, triangles, &cut, &mut found, exec)?;
+        Ok(found)
     })
 }
 
+/// The cells of a mesh, among `most` or fewer.
+fn bound_cells(
+    positions: &[DVec3],
+    triangles: &[[u32; 3]],
+    most: usize,
+    exec: &Exec<'_>,
+) -> Result<OccupiedCells, Cancelled> {
+    let few = OccupiedCells::find(positions, triangles, most.min(FEW_CELLS), exec)?;
+    let filled = few.places.len() as f64 / few.node.len() as f64;
+    OccupiedCells::find(
+        positions,
+        triangles,
+        most.min((OCCUPIED as f64 / filled) as usize),
+        exec,
+    )
+}
+
 /// How many of all weights are kept.
-struct WeightCut<'a> {
+pub(super) struct WeightCut<'a> {
     most: usize,
     parents: Vec<Option<usize>>,
     bones: &'a [SkinBone],
@@ -202,7 +226,7 @@ struct WeightCut<'a> {
 
 impl WeightCut<'_> {
     /// The few that a point follows. What is far from any weight that the solver left still has its nearest bone.
-    fn few(&self, heaviest: &HeaviestWeights, p: DVec3) -> BoneInfluences {
+    pub(super) fn few(&self, heaviest: &HeaviestWeights, p: DVec3) -> BoneInfluences {
         let few = heaviest.cut(self.most, &self.parents);
         few.unwrap_or_else(|| BoneInfluences::one(nearest(self.bones, p).0 as u16))
     }

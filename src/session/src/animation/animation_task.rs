@@ -210,7 +210,8 @@ impl FrameSolver {
                 cycles: 0,
             });
         };
-        let quality = animation.quality(&frame.positions, pool);
+        let mut quality = animation.quality(&frame.positions, pool);
+        frame.quality.tell_crossings(&mut quality);
         sums.add(&quality);
         let digest = digest(&frame.positions);
         match self.root {

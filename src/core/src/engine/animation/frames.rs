@@ -10,6 +10,7 @@ use crate::engine::facts::QualityReport;
 use crate::engine::quality::FrameQuality;
 use crate::engine::solve::ShapeTransfer;
 use crate::exec::Exec;
+use crate::mesh::count_crossings;
 use crate::mesh::rotation::log_rotation;
 use crate::motion::rig::RigidMotion;
 use glam::{DMat3, DVec3, Vec3};
@@ -315,7 +316,12 @@ impl Animation {
             .settle(&derived.body, &self.system, &solution.frames, nodes, exec.pool);
         let faces = unfold_faces(&derived.mesh, &derived.surroundings, &self.system, nodes, exec.pool);
         let surface = &nodes[..derived.mesh.positions.len()];
-        let quality = FrameQuality::measure(&derived.mesh, derived.report().closed, surface, &faces, exec.pool);
+        let mesh = &derived.mesh;
+        let mut quality = FrameQuality::measure(mesh, derived.report().closed, surface, &faces, exec.pool);
+        if self.counts_crossings {
+            let counted = count_crossings(surface, &mesh.positions, &mesh.triangles, exec);
+            quality.crossings = Some(counted.map_err(|_| Error::Cancelled)?);
+        }
         let shape = ShapeTransfer {
             body: &derived.body,
             mesh: &derived.mesh,
@@ -382,6 +388,9 @@ pub struct FrameSums {
     pub flipped_triangles_worst: u32,
     /// The largest stretch in any frame.
     pub max_stretch: f64,
+    new_self_intersections: Option<f64>,
+    /// Most pairs of triangles that cross in one frame and do not at rest; `None` where they are not counted.
+    pub new_self_intersections_worst: Option<u32>,
 }
 
 impl FrameSums {
@@ -396,6 +405,10 @@ impl FrameSums {
         }
         self.flipped_triangles_worst = self.flipped_triangles_worst.max(quality.flipped_triangles);
         self.max_stretch = self.max_stretch.max(quality.max_stretch);
+        if let Some(new) = quality.new_self_intersections {
+            *self.new_self_intersections.get_or_insert(0.0) += f64::from(new);
+            self.new_self_intersections_worst = self.new_self_intersections_worst.max(Some(new));
+        }
     }
 
     fn mean(&self, sum: f64) -> f64 {
@@ -410,6 +423,11 @@ impl FrameSums {
     /// Mean number of triangles that are turned over.
     pub fn flipped_triangles_mean(&self) -> f64 {
         self.mean(self.flipped_triangles)
+    }
+
+    /// Mean number of pairs of triangles that cross and do not at rest; `None` where they are not counted.
+    pub fn new_self_intersections_mean(&self) -> Option<f64> {
+        self.new_self_intersections.map(|sum| self.mean(sum))
     }
 
     /// Mean of the edges' root mean squares.

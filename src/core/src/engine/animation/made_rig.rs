@@ -208,7 +208,7 @@ pub fn make_rig(model: &Model, order: &RigOrder<'_>, exec: &Exec<'_>) -> Result<
     let mut made = rig_of_body(&tree, &body.positions, &joints, &fixed, clip, reference)?;
     for joint in &mut made.joints {
         let found = found.as_ref().and_then(|found| found.joints.get(joint.name.as_str()));
-        if let Some(found) = found {
+        if let Some(found) = found.filter(|found| found.score < joint.score) {
             (joint.score, joint.reason) = (found.score, found.reason.clone());
         }
     }

@@ -66,6 +66,7 @@ impl Animation {
         }
         animation.feet = feet_of(&animation, &range, deformer.rest());
         animation.range = range;
+        animation.counts_crossings = request.counts_crossings;
         animation.beside = moving.beside;
         animation.own_clip = moving.own;
         if moving.own.is_some() {
@@ -106,7 +107,7 @@ impl MovingClip {
         };
         let is_recording = matches!(request.clip, ClipSource::Bvh { .. });
         if request.plant_feet.unwrap_or(is_recording) {
-            let has_feet = driver.plant_feet(rig, start);
+            let has_feet = driver.plant_feet(rig, deformer.rest(), start);
             if !has_feet && request.plant_feet == Some(true) {
                 let problem = match own {
                     Some(_) => "is true, but the clip is that of the model's own skin, which plays as it is",
@@ -117,6 +118,7 @@ impl MovingClip {
                 return Err(RigError::field("plantFeet", problem).into());
             }
         }
+        driver.follow_turns(start);
         check_reach(rig, &driver, times, range)?;
         self.warnings.iter().for_each(|warning| driver.warn(warning.clone()));
         if own.is_none() {

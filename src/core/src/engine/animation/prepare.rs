@@ -52,6 +52,8 @@ pub struct ClipRequest {
     pub plant_feet: Option<bool>,
     /// How exactly frames are solved; see [`ANIMATION_QUALITY`].
     pub quality: Quality,
+    /// Whether pairs of triangles that cross are counted in each frame.
+    pub counts_crossings: bool,
 }
 
 /// How large an animation may be.
@@ -169,6 +171,7 @@ pub struct Animation {
     pub(super) handles: Vec<RigHandle>,
     pub(super) times: FrameTimes,
     pub(super) quality: Quality,
+    pub(super) counts_crossings: bool,
     pub(super) beside: Option<SceneMotion>,
     pub(super) range: Range<usize>,
     pub(super) clip_name: String,
@@ -229,6 +232,7 @@ impl Deformer {
             handles,
             times,
             quality: *quality,
+            counts_crossings: false,
             beside: None,
             range: 0..times.count,
             clip_name: String::new(),
