@@ -345,20 +345,30 @@ class Session(_message.Message):
     def __init__(self, id: _Optional[str] = ..., revision: _Optional[int] = ..., primitives: _Optional[_Iterable[_Union[Primitive, _Mapping]]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., build_ms: _Optional[_Mapping[str, float]] = ..., model: _Optional[_Union[ModelFacts, _Mapping]] = ..., solver: _Optional[_Union[SolverFacts, _Mapping]] = ..., expires_at: _Optional[str] = ..., label: _Optional[str] = ..., handles: _Optional[_Iterable[_Union[HandleFacts, _Mapping]]] = ..., limits: _Optional[_Union[Limits, _Mapping]] = ..., created_at: _Optional[str] = ...) -> None: ...
 
 class HandleFacts(_message.Message):
-    __slots__ = ("id", "vertices", "interior_nodes", "centroid", "pose", "pivot")
+    __slots__ = ("id", "vertices", "interior_nodes", "centroid", "pose", "pivot", "found_turn")
     ID_FIELD_NUMBER: _ClassVar[int]
     VERTICES_FIELD_NUMBER: _ClassVar[int]
     INTERIOR_NODES_FIELD_NUMBER: _ClassVar[int]
     CENTROID_FIELD_NUMBER: _ClassVar[int]
     POSE_FIELD_NUMBER: _ClassVar[int]
     PIVOT_FIELD_NUMBER: _ClassVar[int]
+    FOUND_TURN_FIELD_NUMBER: _ClassVar[int]
     id: str
     vertices: int
     interior_nodes: int
     centroid: _containers.RepeatedScalarFieldContainer[float]
     pose: HandlePose
     pivot: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, id: _Optional[str] = ..., vertices: _Optional[int] = ..., interior_nodes: _Optional[int] = ..., centroid: _Optional[_Iterable[float]] = ..., pose: _Optional[_Union[HandlePose, _Mapping]] = ..., pivot: _Optional[_Iterable[float]] = ...) -> None: ...
+    found_turn: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, id: _Optional[str] = ..., vertices: _Optional[int] = ..., interior_nodes: _Optional[int] = ..., centroid: _Optional[_Iterable[float]] = ..., pose: _Optional[_Union[HandlePose, _Mapping]] = ..., pivot: _Optional[_Iterable[float]] = ..., found_turn: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class FoundTurn(_message.Message):
+    __slots__ = ("id", "rotation_vector")
+    ID_FIELD_NUMBER: _ClassVar[int]
+    ROTATION_VECTOR_FIELD_NUMBER: _ClassVar[int]
+    id: str
+    rotation_vector: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, id: _Optional[str] = ..., rotation_vector: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Limits(_message.Message):
     __slots__ = ("upload_bytes", "vertices", "sessions", "memory_bytes", "handles", "message_bytes", "window", "part_bytes", "ttl_seconds", "history", "solve_ms", "streams", "animations", "clip_bytes", "clip_joints", "animation_frames", "animation_vertices", "quotas")
@@ -712,7 +722,7 @@ class DeformRequest(_message.Message):
     def __init__(self, session_id: _Optional[str] = ..., options: _Optional[_Union[Options, _Mapping]] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., ack: _Optional[_Union[Ack, _Mapping]] = ..., ping: _Optional[_Union[Ping, _Mapping]] = ...) -> None: ...
 
 class Frame(_message.Message):
-    __slots__ = ("seq", "revision", "part", "parts", "first_vertex", "encoding", "data", "final", "residual", "max_error", "solve_ms", "queue_ms", "superseded", "attribute", "vertex_count", "indices", "box_min", "box_max", "quality", "animated", "number")
+    __slots__ = ("seq", "revision", "part", "parts", "first_vertex", "encoding", "data", "final", "residual", "max_error", "solve_ms", "queue_ms", "superseded", "attribute", "vertex_count", "indices", "box_min", "box_max", "quality", "animated", "number", "found_turns")
     class Encoding(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         F32: _ClassVar[Frame.Encoding]
@@ -752,6 +762,7 @@ class Frame(_message.Message):
     QUALITY_FIELD_NUMBER: _ClassVar[int]
     ANIMATED_FIELD_NUMBER: _ClassVar[int]
     NUMBER_FIELD_NUMBER: _ClassVar[int]
+    FOUND_TURNS_FIELD_NUMBER: _ClassVar[int]
     seq: int
     revision: int
     part: int
@@ -773,7 +784,8 @@ class Frame(_message.Message):
     quality: Quality
     animated: Animated
     number: int
-    def __init__(self, seq: _Optional[int] = ..., revision: _Optional[int] = ..., part: _Optional[int] = ..., parts: _Optional[int] = ..., first_vertex: _Optional[int] = ..., encoding: _Optional[_Union[Frame.Encoding, str]] = ..., data: _Optional[bytes] = ..., final: bool = ..., residual: _Optional[float] = ..., max_error: _Optional[float] = ..., solve_ms: _Optional[float] = ..., queue_ms: _Optional[float] = ..., superseded: _Optional[int] = ..., attribute: _Optional[_Union[Frame.Attribute, str]] = ..., vertex_count: _Optional[int] = ..., indices: _Optional[_Iterable[int]] = ..., box_min: _Optional[_Iterable[float]] = ..., box_max: _Optional[_Iterable[float]] = ..., quality: _Optional[_Union[Quality, _Mapping]] = ..., animated: _Optional[_Union[Animated, _Mapping]] = ..., number: _Optional[int] = ...) -> None: ...
+    found_turns: _containers.RepeatedCompositeFieldContainer[FoundTurn]
+    def __init__(self, seq: _Optional[int] = ..., revision: _Optional[int] = ..., part: _Optional[int] = ..., parts: _Optional[int] = ..., first_vertex: _Optional[int] = ..., encoding: _Optional[_Union[Frame.Encoding, str]] = ..., data: _Optional[bytes] = ..., final: bool = ..., residual: _Optional[float] = ..., max_error: _Optional[float] = ..., solve_ms: _Optional[float] = ..., queue_ms: _Optional[float] = ..., superseded: _Optional[int] = ..., attribute: _Optional[_Union[Frame.Attribute, str]] = ..., vertex_count: _Optional[int] = ..., indices: _Optional[_Iterable[int]] = ..., box_min: _Optional[_Iterable[float]] = ..., box_max: _Optional[_Iterable[float]] = ..., quality: _Optional[_Union[Quality, _Mapping]] = ..., animated: _Optional[_Union[Animated, _Mapping]] = ..., number: _Optional[int] = ..., found_turns: _Optional[_Iterable[_Union[FoundTurn, _Mapping]]] = ...) -> None: ...
 
 class Animated(_message.Message):
     __slots__ = ("index", "count", "time", "root_translation", "root_rotation", "digest", "cycles", "stage", "fraction", "report")
@@ -922,7 +934,7 @@ class SolveRequest(_message.Message):
     def __init__(self, session_id: _Optional[str] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., options: _Optional[_Union[Options, _Mapping]] = ...) -> None: ...
 
 class EditRequest(_message.Message):
-    __slots__ = ("session_id", "on", "cut", "subdivide", "decimate", "delete", "fill", "remesh", "merge", "insert_curve", "weld", "smooth")
+    __slots__ = ("session_id", "on", "cut", "subdivide", "decimate", "delete", "fill", "remesh", "merge", "insert_curve", "weld", "smooth", "clean")
     class Cap(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         CONTINUED: _ClassVar[EditRequest.Cap]
@@ -1077,6 +1089,17 @@ class EditRequest(_message.Message):
         TOLERANCE_FIELD_NUMBER: _ClassVar[int]
         tolerance: float
         def __init__(self, tolerance: _Optional[float] = ...) -> None: ...
+    class Clean(_message.Message):
+        __slots__ = ("keep_largest", "smallest_share", "smallest_size", "duplicates_within")
+        KEEP_LARGEST_FIELD_NUMBER: _ClassVar[int]
+        SMALLEST_SHARE_FIELD_NUMBER: _ClassVar[int]
+        SMALLEST_SIZE_FIELD_NUMBER: _ClassVar[int]
+        DUPLICATES_WITHIN_FIELD_NUMBER: _ClassVar[int]
+        keep_largest: int
+        smallest_share: float
+        smallest_size: float
+        duplicates_within: float
+        def __init__(self, keep_largest: _Optional[int] = ..., smallest_share: _Optional[float] = ..., smallest_size: _Optional[float] = ..., duplicates_within: _Optional[float] = ...) -> None: ...
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     ON_FIELD_NUMBER: _ClassVar[int]
     CUT_FIELD_NUMBER: _ClassVar[int]
@@ -1089,6 +1112,7 @@ class EditRequest(_message.Message):
     INSERT_CURVE_FIELD_NUMBER: _ClassVar[int]
     WELD_FIELD_NUMBER: _ClassVar[int]
     SMOOTH_FIELD_NUMBER: _ClassVar[int]
+    CLEAN_FIELD_NUMBER: _ClassVar[int]
     session_id: str
     on: EditRequest.On
     cut: EditRequest.Cut
@@ -1101,7 +1125,8 @@ class EditRequest(_message.Message):
     insert_curve: EditRequest.InsertCurve
     weld: EditRequest.Weld
     smooth: EditRequest.Smooth
-    def __init__(self, session_id: _Optional[str] = ..., on: _Optional[_Union[EditRequest.On, str]] = ..., cut: _Optional[_Union[EditRequest.Cut, _Mapping]] = ..., subdivide: _Optional[_Union[EditRequest.Subdivide, _Mapping]] = ..., decimate: _Optional[_Union[EditRequest.Decimate, _Mapping]] = ..., delete: _Optional[_Union[EditRequest.Delete, _Mapping]] = ..., fill: _Optional[_Union[EditRequest.Fill, _Mapping]] = ..., remesh: _Optional[_Union[EditRequest.Remesh, _Mapping]] = ..., merge: _Optional[_Union[EditRequest.Merge, _Mapping]] = ..., insert_curve: _Optional[_Union[EditRequest.InsertCurve, _Mapping]] = ..., weld: _Optional[_Union[EditRequest.Weld, _Mapping]] = ..., smooth: _Optional[_Union[EditRequest.Smooth, _Mapping]] = ...) -> None: ...
+    clean: EditRequest.Clean
+    def __init__(self, session_id: _Optional[str] = ..., on: _Optional[_Union[EditRequest.On, str]] = ..., cut: _Optional[_Union[EditRequest.Cut, _Mapping]] = ..., subdivide: _Optional[_Union[EditRequest.Subdivide, _Mapping]] = ..., decimate: _Optional[_Union[EditRequest.Decimate, _Mapping]] = ..., delete: _Optional[_Union[EditRequest.Delete, _Mapping]] = ..., fill: _Optional[_Union[EditRequest.Fill, _Mapping]] = ..., remesh: _Optional[_Union[EditRequest.Remesh, _Mapping]] = ..., merge: _Optional[_Union[EditRequest.Merge, _Mapping]] = ..., insert_curve: _Optional[_Union[EditRequest.InsertCurve, _Mapping]] = ..., weld: _Optional[_Union[EditRequest.Weld, _Mapping]] = ..., smooth: _Optional[_Union[EditRequest.Smooth, _Mapping]] = ..., clean: _Optional[_Union[EditRequest.Clean, _Mapping]] = ...) -> None: ...
 
 class EditResult(_message.Message):
     __slots__ = ("revision", "before", "after", "handles_kept", "warnings", "ms", "kept", "curve", "digest", "repaired", "deviation", "volume_change", "creases")
@@ -1218,14 +1243,16 @@ class Followed(_message.Message):
     def __init__(self, joints: _Optional[int] = ..., moved_joints: _Optional[int] = ..., clips: _Optional[int] = ..., rewritten_clips: _Optional[int] = ..., morph_targets: _Optional[int] = ..., carried_morph_targets: _Optional[int] = ..., passengers: _Optional[int] = ..., moved_passengers: _Optional[int] = ..., farthest: _Optional[_Iterable[_Union[Followed.Joint, _Mapping]]] = ..., passenger_nodes: _Optional[int] = ..., moved_passenger_nodes: _Optional[int] = ...) -> None: ...
 
 class Chunk(_message.Message):
-    __slots__ = ("data", "uri", "followed")
+    __slots__ = ("data", "uri", "followed", "warnings")
     DATA_FIELD_NUMBER: _ClassVar[int]
     URI_FIELD_NUMBER: _ClassVar[int]
     FOLLOWED_FIELD_NUMBER: _ClassVar[int]
+    WARNINGS_FIELD_NUMBER: _ClassVar[int]
     data: bytes
     uri: str
     followed: Followed
-    def __init__(self, data: _Optional[bytes] = ..., uri: _Optional[str] = ..., followed: _Optional[_Union[Followed, _Mapping]] = ...) -> None: ...
+    warnings: _containers.RepeatedCompositeFieldContainer[Warning]
+    def __init__(self, data: _Optional[bytes] = ..., uri: _Optional[str] = ..., followed: _Optional[_Union[Followed, _Mapping]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ...) -> None: ...
 
 class CarryRequest(_message.Message):
     __slots__ = ("session_id", "points", "rotations", "model", "format")
@@ -1254,6 +1281,82 @@ class CarryResponse(_message.Message):
     scales: _containers.RepeatedScalarFieldContainer[float]
     model: bytes
     def __init__(self, revision: _Optional[int] = ..., points: _Optional[_Iterable[float]] = ..., rotations: _Optional[_Iterable[float]] = ..., scales: _Optional[_Iterable[float]] = ..., model: _Optional[bytes] = ...) -> None: ...
+
+class CrossingsRequest(_message.Message):
+    __slots__ = ("session_id", "limit")
+    SESSION_ID_FIELD_NUMBER: _ClassVar[int]
+    LIMIT_FIELD_NUMBER: _ClassVar[int]
+    session_id: str
+    limit: int
+    def __init__(self, session_id: _Optional[str] = ..., limit: _Optional[int] = ...) -> None: ...
+
+class CrossingsResponse(_message.Message):
+    __slots__ = ("revision", "triangles", "total", "at_rest", "total_at_rest")
+    REVISION_FIELD_NUMBER: _ClassVar[int]
+    TRIANGLES_FIELD_NUMBER: _ClassVar[int]
+    TOTAL_FIELD_NUMBER: _ClassVar[int]
+    AT_REST_FIELD_NUMBER: _ClassVar[int]
+    TOTAL_AT_REST_FIELD_NUMBER: _ClassVar[int]
+    revision: int
+    triangles: _containers.RepeatedScalarFieldContainer[int]
+    total: int
+    at_rest: _containers.RepeatedScalarFieldContainer[int]
+    total_at_rest: int
+    def __init__(self, revision: _Optional[int] = ..., triangles: _Optional[_Iterable[int]] = ..., total: _Optional[int] = ..., at_rest: _Optional[_Iterable[int]] = ..., total_at_rest: _Optional[int] = ...) -> None: ...
+
+class MakeRigRequest(_message.Message):
+    __slots__ = ("session_id", "bvh", "preset", "joints", "up", "front")
+    class JointsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: Rig.Joint
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[Rig.Joint, _Mapping]] = ...) -> None: ...
+    SESSION_ID_FIELD_NUMBER: _ClassVar[int]
+    BVH_FIELD_NUMBER: _ClassVar[int]
+    PRESET_FIELD_NUMBER: _ClassVar[int]
+    JOINTS_FIELD_NUMBER: _ClassVar[int]
+    UP_FIELD_NUMBER: _ClassVar[int]
+    FRONT_FIELD_NUMBER: _ClassVar[int]
+    session_id: str
+    bvh: bytes
+    preset: str
+    joints: _containers.MessageMap[str, Rig.Joint]
+    up: str
+    front: str
+    def __init__(self, session_id: _Optional[str] = ..., bvh: _Optional[bytes] = ..., preset: _Optional[str] = ..., joints: _Optional[_Mapping[str, Rig.Joint]] = ..., up: _Optional[str] = ..., front: _Optional[str] = ...) -> None: ...
+
+class MakeRigResponse(_message.Message):
+    __slots__ = ("rig", "joints", "source", "up", "front", "warnings")
+    class Joint(_message.Message):
+        __slots__ = ("name", "at", "score", "reason", "doubtful", "inside")
+        NAME_FIELD_NUMBER: _ClassVar[int]
+        AT_FIELD_NUMBER: _ClassVar[int]
+        SCORE_FIELD_NUMBER: _ClassVar[int]
+        REASON_FIELD_NUMBER: _ClassVar[int]
+        DOUBTFUL_FIELD_NUMBER: _ClassVar[int]
+        INSIDE_FIELD_NUMBER: _ClassVar[int]
+        name: str
+        at: _containers.RepeatedScalarFieldContainer[float]
+        score: float
+        reason: str
+        doubtful: bool
+        inside: bool
+        def __init__(self, name: _Optional[str] = ..., at: _Optional[_Iterable[float]] = ..., score: _Optional[float] = ..., reason: _Optional[str] = ..., doubtful: bool = ..., inside: bool = ...) -> None: ...
+    RIG_FIELD_NUMBER: _ClassVar[int]
+    JOINTS_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_FIELD_NUMBER: _ClassVar[int]
+    UP_FIELD_NUMBER: _ClassVar[int]
+    FRONT_FIELD_NUMBER: _ClassVar[int]
+    WARNINGS_FIELD_NUMBER: _ClassVar[int]
+    rig: Rig
+    joints: _containers.RepeatedCompositeFieldContainer[MakeRigResponse.Joint]
+    source: str
+    up: str
+    front: str
+    warnings: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, rig: _Optional[_Union[Rig, _Mapping]] = ..., joints: _Optional[_Iterable[_Union[MakeRigResponse.Joint, _Mapping]]] = ..., source: _Optional[str] = ..., up: _Optional[str] = ..., front: _Optional[str] = ..., warnings: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class Expect(_message.Message):
     __slots__ = ("max_distance", "mean_distance", "normal_degrees", "flipped_triangles", "volume_change", "digest")
@@ -1382,7 +1485,7 @@ class Report(_message.Message):
     def __init__(self, model: _Optional[_Union[ModelFacts, _Mapping]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., steps: _Optional[_Iterable[_Union[Report.Step, _Mapping]]] = ..., quality: _Optional[_Union[Quality, _Mapping]] = ..., digest: _Optional[str] = ..., solver: _Optional[_Union[SolverFacts, _Mapping]] = ..., build_ms: _Optional[_Mapping[str, float]] = ..., handles: _Optional[_Iterable[_Union[HandleFacts, _Mapping]]] = ..., output: _Optional[_Iterable[str]] = ..., passengers: _Optional[_Iterable[_Union[Report.Passenger, _Mapping]]] = ..., followed: _Optional[_Union[Followed, _Mapping]] = ...) -> None: ...
 
 class Quality(_message.Message):
-    __slots__ = ("edge_rms", "volume_change", "area_change", "flipped_triangles", "max_stretch", "self_intersections", "faces_too_large", "open_surface", "off_rigid")
+    __slots__ = ("edge_rms", "volume_change", "area_change", "flipped_triangles", "max_stretch", "self_intersections", "faces_too_large", "open_surface", "off_rigid", "new_self_intersections")
     EDGE_RMS_FIELD_NUMBER: _ClassVar[int]
     VOLUME_CHANGE_FIELD_NUMBER: _ClassVar[int]
     AREA_CHANGE_FIELD_NUMBER: _ClassVar[int]
@@ -1392,6 +1495,7 @@ class Quality(_message.Message):
     FACES_TOO_LARGE_FIELD_NUMBER: _ClassVar[int]
     OPEN_SURFACE_FIELD_NUMBER: _ClassVar[int]
     OFF_RIGID_FIELD_NUMBER: _ClassVar[int]
+    NEW_SELF_INTERSECTIONS_FIELD_NUMBER: _ClassVar[int]
     edge_rms: float
     volume_change: float
     area_change: float
@@ -1401,7 +1505,8 @@ class Quality(_message.Message):
     faces_too_large: int
     open_surface: bool
     off_rigid: float
-    def __init__(self, edge_rms: _Optional[float] = ..., volume_change: _Optional[float] = ..., area_change: _Optional[float] = ..., flipped_triangles: _Optional[int] = ..., max_stretch: _Optional[float] = ..., self_intersections: _Optional[int] = ..., faces_too_large: _Optional[int] = ..., open_surface: bool = ..., off_rigid: _Optional[float] = ...) -> None: ...
+    new_self_intersections: int
+    def __init__(self, edge_rms: _Optional[float] = ..., volume_change: _Optional[float] = ..., area_change: _Optional[float] = ..., flipped_triangles: _Optional[int] = ..., max_stretch: _Optional[float] = ..., self_intersections: _Optional[int] = ..., faces_too_large: _Optional[int] = ..., open_surface: bool = ..., off_rigid: _Optional[float] = ..., new_self_intersections: _Optional[int] = ...) -> None: ...
 
 class Inspection(_message.Message):
     __slots__ = ("model", "primitives", "solver", "warnings", "components", "boundary_loops", "non_manifold_edges", "non_manifold_vertices", "seam_vertices", "closed", "box_min", "box_max", "area", "volume", "memory_estimate", "degenerate_faces", "duplicate_faces", "unreferenced_vertices", "nodes", "node_count", "hard_parts")
@@ -1530,7 +1635,7 @@ class Rig(_message.Message):
 class AnimationReport(_message.Message):
     __slots__ = ("frames", "totals", "handles", "warnings", "scale", "build_ms", "output", "written_error", "feet")
     class FrameReport(_message.Message):
-        __slots__ = ("index", "time", "ms", "cycles", "volume_change", "flipped_triangles", "max_stretch", "edge_rms", "digest", "root_translation", "root_rotation")
+        __slots__ = ("index", "time", "ms", "cycles", "volume_change", "flipped_triangles", "max_stretch", "edge_rms", "digest", "root_translation", "root_rotation", "self_intersections", "new_self_intersections")
         INDEX_FIELD_NUMBER: _ClassVar[int]
         TIME_FIELD_NUMBER: _ClassVar[int]
         MS_FIELD_NUMBER: _ClassVar[int]
@@ -1542,6 +1647,8 @@ class AnimationReport(_message.Message):
         DIGEST_FIELD_NUMBER: _ClassVar[int]
         ROOT_TRANSLATION_FIELD_NUMBER: _ClassVar[int]
         ROOT_ROTATION_FIELD_NUMBER: _ClassVar[int]
+        SELF_INTERSECTIONS_FIELD_NUMBER: _ClassVar[int]
+        NEW_SELF_INTERSECTIONS_FIELD_NUMBER: _ClassVar[int]
         index: int
         time: float
         ms: float
@@ -1553,7 +1660,9 @@ class AnimationReport(_message.Message):
         digest: str
         root_translation: _containers.RepeatedScalarFieldContainer[float]
         root_rotation: _containers.RepeatedScalarFieldContainer[float]
-        def __init__(self, index: _Optional[int] = ..., time: _Optional[float] = ..., ms: _Optional[float] = ..., cycles: _Optional[int] = ..., volume_change: _Optional[float] = ..., flipped_triangles: _Optional[int] = ..., max_stretch: _Optional[float] = ..., edge_rms: _Optional[float] = ..., digest: _Optional[str] = ..., root_translation: _Optional[_Iterable[float]] = ..., root_rotation: _Optional[_Iterable[float]] = ...) -> None: ...
+        self_intersections: int
+        new_self_intersections: int
+        def __init__(self, index: _Optional[int] = ..., time: _Optional[float] = ..., ms: _Optional[float] = ..., cycles: _Optional[int] = ..., volume_change: _Optional[float] = ..., flipped_triangles: _Optional[int] = ..., max_stretch: _Optional[float] = ..., edge_rms: _Optional[float] = ..., digest: _Optional[str] = ..., root_translation: _Optional[_Iterable[float]] = ..., root_rotation: _Optional[_Iterable[float]] = ..., self_intersections: _Optional[int] = ..., new_self_intersections: _Optional[int] = ...) -> None: ...
     class HeldNodes(_message.Message):
         __slots__ = ("name", "nodes", "widened")
         NAME_FIELD_NUMBER: _ClassVar[int]
@@ -1564,7 +1673,7 @@ class AnimationReport(_message.Message):
         widened: float
         def __init__(self, name: _Optional[str] = ..., nodes: _Optional[int] = ..., widened: _Optional[float] = ...) -> None: ...
     class Totals(_message.Message):
-        __slots__ = ("frames", "ms", "frames_per_second", "volume_change_mean", "volume_change_worst", "flipped_triangles_mean", "flipped_triangles_worst", "max_stretch", "edge_rms_mean")
+        __slots__ = ("frames", "ms", "frames_per_second", "volume_change_mean", "volume_change_worst", "flipped_triangles_mean", "flipped_triangles_worst", "max_stretch", "edge_rms_mean", "new_self_intersections_mean", "new_self_intersections_worst")
         FRAMES_FIELD_NUMBER: _ClassVar[int]
         MS_FIELD_NUMBER: _ClassVar[int]
         FRAMES_PER_SECOND_FIELD_NUMBER: _ClassVar[int]
@@ -1574,6 +1683,8 @@ class AnimationReport(_message.Message):
         FLIPPED_TRIANGLES_WORST_FIELD_NUMBER: _ClassVar[int]
         MAX_STRETCH_FIELD_NUMBER: _ClassVar[int]
         EDGE_RMS_MEAN_FIELD_NUMBER: _ClassVar[int]
+        NEW_SELF_INTERSECTIONS_MEAN_FIELD_NUMBER: _ClassVar[int]
+        NEW_SELF_INTERSECTIONS_WORST_FIELD_NUMBER: _ClassVar[int]
         frames: int
         ms: float
         frames_per_second: float
@@ -1583,7 +1694,9 @@ class AnimationReport(_message.Message):
         flipped_triangles_worst: int
         max_stretch: float
         edge_rms_mean: float
-        def __init__(self, frames: _Optional[int] = ..., ms: _Optional[float] = ..., frames_per_second: _Optional[float] = ..., volume_change_mean: _Optional[float] = ..., volume_change_worst: _Optional[float] = ..., flipped_triangles_mean: _Optional[float] = ..., flipped_triangles_worst: _Optional[int] = ..., max_stretch: _Optional[float] = ..., edge_rms_mean: _Optional[float] = ...) -> None: ...
+        new_self_intersections_mean: float
+        new_self_intersections_worst: int
+        def __init__(self, frames: _Optional[int] = ..., ms: _Optional[float] = ..., frames_per_second: _Optional[float] = ..., volume_change_mean: _Optional[float] = ..., volume_change_worst: _Optional[float] = ..., flipped_triangles_mean: _Optional[float] = ..., flipped_triangles_worst: _Optional[int] = ..., max_stretch: _Optional[float] = ..., edge_rms_mean: _Optional[float] = ..., new_self_intersections_mean: _Optional[float] = ..., new_self_intersections_worst: _Optional[int] = ...) -> None: ...
     class WrittenError(_message.Message):
         __slots__ = ("rms_percent", "max_percent", "parts")
         RMS_PERCENT_FIELD_NUMBER: _ClassVar[int]

@@ -100,6 +100,16 @@ class DeformerStub(object):
                 request_serializer=pliant_dot_v1_dot_pliant__pb2.CarryRequest.SerializeToString,
                 response_deserializer=pliant_dot_v1_dot_pliant__pb2.CarryResponse.FromString,
                 _registered_method=True)
+        self.Crossings = channel.unary_unary(
+                '/pliant.v1.Deformer/Crossings',
+                request_serializer=pliant_dot_v1_dot_pliant__pb2.CrossingsRequest.SerializeToString,
+                response_deserializer=pliant_dot_v1_dot_pliant__pb2.CrossingsResponse.FromString,
+                _registered_method=True)
+        self.MakeRig = channel.unary_unary(
+                '/pliant.v1.Deformer/MakeRig',
+                request_serializer=pliant_dot_v1_dot_pliant__pb2.MakeRigRequest.SerializeToString,
+                response_deserializer=pliant_dot_v1_dot_pliant__pb2.MakeRigResponse.FromString,
+                _registered_method=True)
         self.Animate = channel.stream_stream(
                 '/pliant.v1.Deformer/Animate',
                 request_serializer=pliant_dot_v1_dot_pliant__pb2.AnimateRequest.SerializeToString,
@@ -209,6 +219,20 @@ class DeformerServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def Crossings(self, request, context):
+        """Returns where the surface of the current shape passes through itself. Changes nothing.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def MakeRig(self, request, context):
+        """Returns the rig that a recording, or a preset, drives a session's model by, and how sure its joints are. Changes nothing.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def Animate(self, request_iterator, context):
         """Drives the model by a clip and returns all frames in order, each in one or more parts. Reports on the preparation
         come first, a report on all frames comes last. The server waits for a client that reads slowly. The session's
@@ -292,6 +316,16 @@ def add_DeformerServicer_to_server(servicer, server):
                     servicer.Carry,
                     request_deserializer=pliant_dot_v1_dot_pliant__pb2.CarryRequest.FromString,
                     response_serializer=pliant_dot_v1_dot_pliant__pb2.CarryResponse.SerializeToString,
+            ),
+            'Crossings': grpc.unary_unary_rpc_method_handler(
+                    servicer.Crossings,
+                    request_deserializer=pliant_dot_v1_dot_pliant__pb2.CrossingsRequest.FromString,
+                    response_serializer=pliant_dot_v1_dot_pliant__pb2.CrossingsResponse.SerializeToString,
+            ),
+            'MakeRig': grpc.unary_unary_rpc_method_handler(
+                    servicer.MakeRig,
+                    request_deserializer=pliant_dot_v1_dot_pliant__pb2.MakeRigRequest.FromString,
+                    response_serializer=pliant_dot_v1_dot_pliant__pb2.MakeRigResponse.SerializeToString,
             ),
             'Animate': grpc.stream_stream_rpc_method_handler(
                     servicer.Animate,
@@ -656,6 +690,60 @@ class Deformer(object):
             '/pliant.v1.Deformer/Carry',
             pliant_dot_v1_dot_pliant__pb2.CarryRequest.SerializeToString,
             pliant_dot_v1_dot_pliant__pb2.CarryResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def Crossings(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/pliant.v1.Deformer/Crossings',
+            pliant_dot_v1_dot_pliant__pb2.CrossingsRequest.SerializeToString,
+            pliant_dot_v1_dot_pliant__pb2.CrossingsResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def MakeRig(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/pliant.v1.Deformer/MakeRig',
+            pliant_dot_v1_dot_pliant__pb2.MakeRigRequest.SerializeToString,
+            pliant_dot_v1_dot_pliant__pb2.MakeRigResponse.FromString,
             options,
             channel_credentials,
             insecure,
