@@ -72,7 +72,7 @@ pub struct AnimateArgs {
     /// Keep feet where they stand [default: of a recording whose legs drive the rig]
     #[arg(long, value_name = "BOOL")]
     plant_feet: Option<bool>,
-    /// Count pairs of triangles that cross in each frame, and those that do not cross at rest
+    /// Count pairs of triangles that cross in each frame, and those that do not cross in the rest pose
     #[arg(long)]
     self_intersections: bool,
     /// Relative residual to reach
@@ -223,7 +223,7 @@ fn print_summary(report: &pb::AnimationReport, is_open: bool) {
         .new_self_intersections_mean
         .zip(totals.new_self_intersections_worst)
     {
-        eprintln!("{mean:.1} pairs of triangles cross in a frame that do not at rest, at worst {worst}");
+        eprintln!("{mean:.1} pairs of triangles cross in a frame that do not in the rest pose, at worst {worst}");
     }
     eprintln!(
         "{} frames, {:.1} a second after {:.0} ms; volume {volume}; {:.1} triangles flipped a frame, at worst {}",

@@ -115,7 +115,7 @@ impl HandleSystem {
         if solved.frames.len() != body.nodes() {
             return vec![DVec3::ZERO; free.len()];
         }
-        let posed = PosedNodes { body, solved };
+        let posed = EdgeEnds { body, solved };
         let pieces = body.nodes().div_ceil(PIECE);
         let of_hold = |&hold: &usize| {
             let field = self.blending_fields.as_ref().unwrap_or(&self.rotation_fields).of(hold);
@@ -188,24 +188,24 @@ fn search_request<'a>(transforms: &'a [Transform], wanted: &PoseRequest<'_>, sta
 }
 
 /// The nodes of a solution, in solving coordinates.
-struct PosedNodes<'a> {
+struct EdgeEnds<'a> {
     body: &'a DeformableBody,
     solved: &'a SolvedNodes,
 }
 
-struct PosedNode {
+struct EdgeEnd {
     rest: DVec3,
     at: DVec3,
     frame: DMat3,
 }
 
-impl PosedNodes<'_> {
+impl EdgeEnds<'_> {
     fn at(&self, node: usize) -> DVec3 {
         self.body.solving_from_model(self.solved.positions[node])
     }
 
-    fn node(&self, node: usize) -> PosedNode {
-        PosedNode {
+    fn node(&self, node: usize) -> EdgeEnd {
+        EdgeEnd {
             rest: self.body.rest(node),
             at: self.at(node),
             frame: Mat3::from_cols_array(&self.solved.frames[node]).as_dmat3(),

@@ -2,7 +2,7 @@
 //!
 //! Of two attitudes alone the shorter way between them is known: a wrist that is turned over by 170 and then by 190 degrees seems to be
 //! turned back by 170, and all between it and the elbow would flip over. A recording is looked at once, frame after frame, and the times
-//! are kept at which a turn passes half a turn, so that any time can be asked for by itself.
+//! are kept at which a turn passes half a turn, so that any time can be asked for alone.
 
 use super::bones::MotionRig;
 use super::rigid_motion::{RigidMotion, clear_twist, twist_angle};
@@ -25,7 +25,7 @@ pub struct BoneTurns {
 
 /// What is followed.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Turn {
+enum TurnKind {
     /// A twist about an axis of the bone `of` against the bone `against`.
     Twist { of: usize, against: usize, axis: DVec3 },
     /// Any turn.
@@ -53,7 +53,7 @@ enum Seen {
 /// A turn with the times at which it passes half a turn.
 #[derive(Debug, Clone, PartialEq)]
 struct FollowedTurn {
-    turn: Turn,
+    turn: TurnKind,
     passings: Vec<Passing>,
 }
 
@@ -67,7 +67,7 @@ pub(super) struct HalfTurns {
 impl HalfTurns {
     /// Of a rig, nothing of which has been looked at.
     pub(super) fn of(rig: &MotionRig) -> Self {
-        let followed = |turn: Turn| FollowedTurn {
+        let followed = |turn: TurnKind| FollowedTurn {
             turn,
             passings: Vec::new(),
         };
@@ -76,14 +76,14 @@ impl HalfTurns {
             let above = bone
                 .parent
                 .zip(axis)
-                .map(|(against, axis)| Turn::Twist { of, against, axis });
+                .map(|(against, axis)| TurnKind::Twist { of, against, axis });
             let below = rig.continued_by(of).zip(axis);
-            let below = below.map(|(child, axis)| Turn::Twist {
+            let below = below.map(|(child, axis)| TurnKind::Twist {
                 of: child,
                 against: of,
                 axis,
             });
-            let whole = bone.parent.map(|against| Turn::Whole { of, against });
+            let whole = bone.parent.map(|against| TurnKind::Whole { of, against });
             [above, below, whole].map(|turn| turn.map(followed))
         };
         Self {
@@ -152,7 +152,7 @@ impl FollowedTurn {
     }
 }
 
-impl Turn {
+impl TurnKind {
     /// The shorter way.
     fn seen(&self, motions: &[RigidMotion]) -> Seen {
         match *self {

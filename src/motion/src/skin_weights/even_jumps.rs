@@ -1,7 +1,6 @@
 //! Weights that change little from one vertex of a mesh to the next, on coarse meshes too.
 
 use super::HeaviestWeights;
-use super::heat_columns::WeightCut;
 use crate::decomposition::JoinedVertices;
 use crate::skeleton::BoneInfluences;
 use glam::DVec3;
@@ -15,11 +14,11 @@ const ROUNDS: usize = 48;
 /// Rounds after which the vertices around those are evened out too.
 const WIDER: usize = 16;
 
-/// Evens weights out where one changes by more than 0.45 along an edge.
+/// Evens weights out where one changes by more than 0.45 along an edge. `few` are those that a point follows of all that it could.
 pub(super) fn even_jumps(
     positions: &[DVec3],
     triangles: &[[u32; 3]],
-    cut: &WeightCut<'_>,
+    few: impl Fn(&HeaviestWeights, DVec3) -> BoneInfluences,
     influences: &mut [BoneInfluences],
     exec: &Exec<'_>,
 ) -> Result<(), Cancelled> {
@@ -37,7 +36,7 @@ pub(super) fn even_jumps(
             means[vertex]
                 .iter()
                 .for_each(|(bone, weight)| heaviest.add(*bone, *weight));
-            influences[vertex] = cut.few(&heaviest, positions[vertex]);
+            influences[vertex] = few(&heaviest, positions[vertex]);
         }
     }
     Ok(())

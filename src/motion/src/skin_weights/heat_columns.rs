@@ -93,7 +93,7 @@ const SHARING: usize = 32;
 const RUN: usize = 256;
 /// Cells with something of the mesh in them at most, about: what fills its box needs fewer than what is thin.
 const OCCUPIED: usize = 1 << 17;
-/// Cells that tell how much of its box a mesh fills.
+/// Cells in which the share of its box that a mesh fills is counted.
 const FEW_CELLS: usize = 1 << 15;
 
 /// Weights of all vertices for bones that run from one point to another. Each vertex follows at least one bone.
@@ -195,7 +195,13 @@ pub fn skin_weights(
             Ok(cut.few(&HeaviestWeights::of_mixture(parts), *p))
         });
         let mut found: Vec<BoneInfluences> = found.collect::<Result<_, Cancelled>>()?;
-        even_jumps(positions, triangles, &cut, &mut found, exec)?;
+        even_jumps(
+            positions,
+            triangles,
+            |heaviest, p| cut.few(heaviest, p),
+            &mut found,
+            exec,
+        )?;
         Ok(found)
     })
 }
@@ -218,7 +224,7 @@ fn bound_cells(
 }
 
 /// How many of all weights are kept.
-pub(super) struct WeightCut<'a> {
+struct WeightCut<'a> {
     most: usize,
     parents: Vec<Option<usize>>,
     bones: &'a [SkinBone],
@@ -226,7 +232,7 @@ pub(super) struct WeightCut<'a> {
 
 impl WeightCut<'_> {
     /// The few that a point follows. What is far from any weight that the solver left still has its nearest bone.
-    pub(super) fn few(&self, heaviest: &HeaviestWeights, p: DVec3) -> BoneInfluences {
+    fn few(&self, heaviest: &HeaviestWeights, p: DVec3) -> BoneInfluences {
         let few = heaviest.cut(self.most, &self.parents);
         few.unwrap_or_else(|| BoneInfluences::one(nearest(self.bones, p).0 as u16))
     }

@@ -5,8 +5,8 @@
 //! vertex, that a triangle passes or that lies inside (`occupied_cells`). Each is pulled to its nearest bone with a stiffness of
 //! c / d², d in cells, and one solve on multigrid for all bones has the balance (`heat_columns`). Of a cell's weights
 //! the few heaviest are kept, without a jump where another becomes heavier (`four_heaviest`), and smoothed where that took
-//! something away. A vertex takes its weights from the cells around it, and weights that jump along an edge are evened out (`even_jumps`). As each cell is pulled to some bone, no vertex is left
-//! out.
+//! something away. A vertex takes its weights from the cells around it, and weights that jump along an edge are evened out
+//! (`even_jumps`). As each cell is pulled to some bone, no vertex is left out.
 
 mod even_jumps;
 mod heat_columns;

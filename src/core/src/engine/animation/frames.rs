@@ -389,7 +389,7 @@ pub struct FrameSums {
     /// The largest stretch in any frame.
     pub max_stretch: f64,
     new_self_intersections: Option<f64>,
-    /// Most pairs of triangles that cross in one frame and do not at rest; `None` where they are not counted.
+    /// Most pairs of triangles that cross in one frame and do not in the rest pose; `None` where they are not counted.
     pub new_self_intersections_worst: Option<u32>,
 }
 
@@ -425,7 +425,7 @@ impl FrameSums {
         self.mean(self.flipped_triangles)
     }
 
-    /// Mean number of pairs of triangles that cross and do not at rest; `None` where they are not counted.
+    /// Mean number of pairs of triangles that cross and do not in the rest pose; `None` where they are not counted.
     pub fn new_self_intersections_mean(&self) -> Option<f64> {
         self.new_self_intersections.map(|sum| self.mean(sum))
     }

@@ -5628,7 +5628,7 @@ export type Quality = Message<"pliant.v1.Quality"> & {
   offRigid?: number | undefined;
 
   /**
-   * Those of self_intersections that do not cross at rest, only in frames of an animation.
+   * Those of self_intersections that do not cross in the rest pose, only in frames of an animation.
    *
    * @generated from field: optional uint32 new_self_intersections = 10;
    */
@@ -6240,7 +6240,7 @@ export type AnimationReport_FrameReport = Message<"pliant.v1.AnimationReport.Fra
   selfIntersections?: number | undefined;
 
   /**
-   * Those of them that do not cross at rest.
+   * Those of them that do not cross in the rest pose.
    *
    * @generated from field: optional uint32 new_self_intersections = 13;
    */
