@@ -83,7 +83,10 @@ export async function showRig(source: ClipSource): Promise<void> {
 /** Shows the joints that a recording was refused for, if there are any. */
 export async function showDoubts(source: ClipSource): Promise<void> {
   const shown = await found(source, true);
-  if (shown?.joints.some(({ doubtful }) => doubtful) === true) show(shown);
+  if (shown?.joints.some(({ doubtful }) => doubtful) !== true) return;
+  show(shown);
+  // What is shown says why, and the message would lie over the model's feet.
+  s.dismissErrors();
 }
 
 function show(shown: Rigging): void {
