@@ -22,6 +22,8 @@ use pliant_solver::{InitialGuess, SolveStats};
 const RINGS: u8 = 2;
 /// In directions that no edge of a node has, strain is taken for none: weight of that against the mean square of its edges.
 const UNSEEN: f64 = 0.02;
+/// The largest entry of a strain that is taken away in full; of a larger one as much as this, so that no frame collapses.
+const MOST: f64 = 0.5;
 /// Corrections whose largest entry is below this one are not worth a solve.
 const LEAST: f64 = 1e-3;
 /// A ring that is not counted.
@@ -59,7 +61,8 @@ impl PoseSolve<'_> {
         let corrections = self.exec.pool.map(nodes.len(), 256, |k| {
             let node = nodes[k] as usize;
             let strain = self.strain(node, &rings, &linear(&posed.frames[node]), x);
-            let by = strain * (f64::from(rings[node]) / f64::from(RINGS) - 1.0);
+            let part = (MOST / largest_entry(&strain)).min(1.0);
+            let by = strain * (part * (f64::from(rings[node]) / f64::from(RINGS) - 1.0));
             (nodes[k], DMat3::IDENTITY + by, largest_entry(&by))
         });
         let finite = corrections.iter().filter(|(_, by, _)| by.is_finite());
