@@ -298,13 +298,13 @@ fn a_small_file_cannot_ask_for_endless_work() {
     const POINTS: &str = r#"{"attributes":{"POSITION":0},"mode":0}"#;
     const TRIANGLE: &str = r#"{"attributes":{"POSITION":0}}"#;
 
-    // A billion visits that lead nowhere are not made.
-    let nowhere = document(20_000, &many(POINTS, 50_000), THREE);
+    // A billion rows of points are refused before they are made.
+    let points = document(20_000, &many(POINTS, 50_000), THREE);
     assert!(matches!(
-        Model::read(nowhere, None, &Limits::default()),
-        Err(Error::NoMesh { .. })
+        Model::read(points, None, &Limits::default()),
+        Err(Error::TooLarge { seen: 262_145, .. })
     ));
-    // A million rows are refused, and so are copies that would be far larger than what they were made from.
+    // A million rows of triangles are, too, and so are copies that would be far larger than what they were made from.
     let rows = document(1000, &many(TRIANGLE, 1000), THREE);
     assert!(matches!(
         Model::read(rows, None, &Limits::default()),

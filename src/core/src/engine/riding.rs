@@ -18,6 +18,9 @@ use std::collections::BTreeMap;
 const VISITS_PER_VERTEX: u64 = 8192;
 /// The same for any passengers: some seconds.
 const LEAST_VISITS: u64 = 1 << 31;
+/// The same for vertices in no triangle, which ride along without being asked to: a few seconds at most.
+const VISITS_PER_LOOSE_VERTEX: u64 = 128;
+const LEAST_LOOSE_VISITS: u64 = 1 << 24;
 /// Vertices after which what was looked at and what is held are counted.
 const BLOCK: usize = 512;
 
@@ -164,20 +167,33 @@ impl RidingVertices {
             on_vertices,
             left_behind: 0,
         };
-        let limit = LEAST_VISITS + VISITS_PER_VERTEX * riders.vertices.len() as u64;
+        let limit = LEAST_VISITS + VISITS_PER_VERTEX * bodies as u64;
         let mut visits = 0;
-        for block in riders.vertices.chunks(BLOCK) {
+        let bind_more = |points: &mut CarriedPoints, block: &[u32]| {
             let places: Vec<DVec3> = block.iter().map(|&v| model.rest[v as usize]).collect();
-            visits += riders.points.bind_more(surface, &places, exec)?;
-            if visits > limit && riders.points.len() >= bodies {
-                riders.left_behind = riders.vertices.len() - riders.points.len();
-                break;
-            }
+            points.bind_more(surface, &places, exec)
+        };
+        for block in riders.vertices[..bodies].chunks(BLOCK) {
+            visits += bind_more(&mut riders.points, block)?;
             if visits > limit {
                 return Err(Error::Precondition(format!(
                     "finding what the vertices of passengers follow takes more than {limit} comparisons, because faces are as \
                      long as the model; remesh the model to give it faces of about one size, or open it without these passengers"
                 )));
+            }
+            admit(riders.byte_size() as u64)?;
+        }
+        let loose = riders.vertices.len() - bodies;
+        let limit = LEAST_LOOSE_VISITS + VISITS_PER_LOOSE_VERTEX * loose as u64;
+        let bound = riders.points.clone();
+        visits = 0;
+        for block in riders.vertices[bodies..].chunks(BLOCK) {
+            visits += bind_more(&mut riders.points, block)?;
+            if visits > limit {
+                // All of them stay: a cloud is not torn.
+                riders.points = bound;
+                riders.left_behind = loose;
+                break;
             }
             admit(riders.byte_size() as u64)?;
         }

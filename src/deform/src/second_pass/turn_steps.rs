@@ -4,6 +4,8 @@ use glam::DVec3;
 
 /// The longest step, radians: a turn is followed, not jumped to.
 const LONGEST_STEP: f64 = 1.0;
+/// The longest one that is left to the next pose of a drag.
+const LONGEST_AHEAD: f64 = 0.1;
 /// How much further than the surest step one goes where nothing is known of a direction, at first,
 const FIRST_GUESS: f64 = 8.0;
 /// and at most.
@@ -23,19 +25,10 @@ pub(crate) struct TurnSteps {
     /// The holds whose turns they are.
     holds: Vec<usize>,
     steps: Vec<(Vec<DVec3>, Vec<DVec3>)>,
-    /// What the last pose of a drag says of the next one.
-    outlook: Outlook,
-}
-
-/// Turns by hold at the end of one pose of a drag; empty where there is none.
-#[derive(Debug, Clone, Default)]
-struct Outlook {
-    /// Those that were solved with.
+    /// The turns that the last pose of a drag was solved with, and the step from them that it has left to the next one; both empty
+    /// where there is none.
     solved: Vec<DVec3>,
-    /// Those that are best for it as far as is known.
-    best: Vec<DVec3>,
-    /// Those of the next pose, if it comes as far as this one did.
-    next: Vec<DVec3>,
+    ahead: Vec<DVec3>,
 }
 
 impl TurnSteps {
@@ -47,25 +40,19 @@ impl TurnSteps {
         }
     }
 
-    /// Looks ahead from a pose of a drag that was solved with some turns and has a step left: it goes on as it came.
-    pub(super) fn look_ahead(&mut self, solved: Vec<DVec3>, step: &[DVec3]) {
-        let mut best = solved.clone();
-        add(&mut best, step, 1.0);
-        let mut next = best.clone();
-        if self.outlook.best.len() == best.len() {
-            add(&mut next, &best, 1.0);
-            add(&mut next, &self.outlook.best, -1.0);
-        }
-        self.outlook = Outlook { solved, best, next };
+    /// Leaves a step to the next pose of a drag, from the turns that this one was solved with. No longer one than
+    /// [`LONGEST_AHEAD`]: nothing has shown yet where it leads.
+    pub(super) fn leave_ahead(&mut self, solved: Vec<DVec3>, mut step: Vec<DVec3>) {
+        shorten(&mut step, LONGEST_AHEAD);
+        (self.solved, self.ahead) = (solved, step);
     }
 
     /// The turns to begin a pose of a drag with, whose last one was solved with `solved`.
-    pub(super) fn expected(&mut self, solved: Vec<DVec3>) -> Vec<DVec3> {
-        if self.outlook.solved != solved {
-            self.outlook = Outlook::default();
-            return solved;
+    pub(super) fn begin_from(&mut self, mut solved: Vec<DVec3>) -> Vec<DVec3> {
+        if std::mem::take(&mut self.solved) == solved {
+            add(&mut solved, &self.ahead, 1.0);
         }
-        self.outlook.next.clone()
+        solved
     }
 
     /// Keeps what a step has changed of the torques, `now` from what they were `before` it. A step that has made them much larger
@@ -118,21 +105,18 @@ impl TurnSteps {
             .fold(FIRST_GUESS, f64::max);
         let at_most = length(&step) + FARTHEST * length(&left);
         add(&mut step, &left, -easier.min(FARTHEST));
-        let longest = step.iter().map(|s| s.length()).fold(0.0, f64::max);
-        if longest > LONGEST_STEP {
-            step.iter_mut().for_each(|s| *s *= LONGEST_STEP / longest);
-        }
+        shorten(&mut step, LONGEST_STEP);
         (step, at_most)
     }
 
     pub(crate) fn clear(&mut self) {
         self.steps.clear();
-        self.outlook = Outlook::default();
+        self.solved.clear();
     }
 
     pub(crate) fn byte_size(&self) -> usize {
         let of_pair = |pair: &(Vec<DVec3>, Vec<DVec3>)| pair.0.capacity() + pair.1.capacity();
-        let of_drag = 3 * self.outlook.solved.capacity();
+        let of_drag = self.solved.capacity() + self.ahead.capacity();
         (self.steps.iter().map(of_pair).sum::<usize>() + of_drag) * size_of::<DVec3>()
     }
 }
@@ -147,4 +131,12 @@ fn length(a: &[DVec3]) -> f64 {
 
 fn add(to: &mut [DVec3], what: &[DVec3], times: f64) {
     to.iter_mut().zip(what).for_each(|(to, what)| *to += *what * times);
+}
+
+/// Shortens turns in proportion until none is longer than `most`.
+fn shorten(turns: &mut [DVec3], most: f64) {
+    let longest = turns.iter().map(|s| s.length()).fold(0.0, f64::max);
+    if longest > most {
+        turns.iter_mut().for_each(|s| *s *= most / longest);
+    }
 }

@@ -23,6 +23,9 @@ const MOST_SOLVES_OF_DRAG: usize = 2;
 /// Steps shorter than this, radians, are not worth another solve, likewise. A drag takes them with its next frame.
 const NEAR_ENOUGH: f64 = 2e-4;
 const NEAR_ENOUGH_OF_DRAG: f64 = 1e-2;
+/// They are short enough only where they would be no longer than this, radians, if the directions of which nothing is known gave way as
+/// far as anything does.
+const MOST_DOUBT: f64 = 1e-2;
 /// Nodes that one piece of work handles.
 const PIECE: usize = 4096;
 
@@ -50,9 +53,9 @@ impl HandleSystem {
         let rotations = |of: &[Transform]| -> Vec<DVec3> { free.iter().map(|&k| of[k].rotation).collect() };
         if warm && state.transforms.len() == transforms.len() {
             state.turning.begin(&free);
-            let expected = state.turning.expected(rotations(&state.transforms));
+            let turns = state.turning.begin_from(rotations(&state.transforms));
             free.iter()
-                .zip(expected)
+                .zip(turns)
                 .for_each(|(&k, turn)| transforms[k].rotation = turn);
         }
         // A pose that is solved from nothing does not depend on what was solved before it.
@@ -81,9 +84,9 @@ impl HandleSystem {
             if !longest.is_finite() {
                 return Err(Error::Solver("a turn left the range of numbers".into()));
             }
-            let is_last = count == most || if warm { at_most } else { longest } < near;
+            let is_last = count == most || (longest < near && at_most < MOST_DOUBT);
             if is_last && warm {
-                state.turning.look_ahead(rotations(&transforms), &step);
+                state.turning.leave_ahead(rotations(&transforms), step);
                 return Ok((transforms, (request.steps() == 0).then_some(solved)));
             }
             state.recycle(solved.positions, solved.frames);
@@ -151,15 +154,15 @@ impl HandleSystem {
             };
             // Pieces are summed in their order, for any number of threads.
             let sums: Vec<(DVec3, f64)> = pool.install(|| (0..pieces).into_par_iter().map(of_piece).collect());
-            let (mut torque, mut resistance) = sums
+            let (mut torque, resistance) = sums
                 .into_iter()
                 .fold((DVec3::ZERO, 0.0), |(t, r), (torque, by)| (t + torque, r + by));
             let map = transforms[hold].map();
             for &(node, _, stiffness) in self.position.soft.iter().filter(|pull| pull.1 == hold as u32) {
                 let target = body.solving_from_model(map(body.graph.positions[node as usize]));
                 let arm = target - place;
+                // It resists less than this: what it pulls turns along.
                 torque += arm.cross(target - posed.at(node as usize)) * stiffness;
-                resistance += stiffness * arm.length_squared();
             }
             if resistance > 0.0 {
                 torque / resistance
