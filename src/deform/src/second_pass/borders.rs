@@ -23,7 +23,7 @@ const RINGS: u8 = 2;
 /// In directions that no edge of a node has, strain is taken for none: weight of that against the mean square of its edges.
 const UNSEEN: f64 = 0.02;
 /// The largest entry of a strain that is taken away in full; of a larger one as much as this, so that no frame collapses.
-const MOST: f64 = 0.5;
+const MOST: f64 = 0.75;
 /// Corrections whose largest entry is below this one are not worth a solve.
 const LEAST: f64 = 1e-3;
 /// A ring that is not counted.
