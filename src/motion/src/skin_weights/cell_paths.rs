@@ -283,8 +283,9 @@ impl<'a> CellPaths<'a> {
         &self.neighbours[self.offsets[node] as usize..self.offsets[node + 1] as usize]
     }
 
-    /// By cell, the bone that is nearest through the cells, and how far it is at least. What none reaches, and what is much nearer to one
-    /// through the air, has the bone nearest through the air.
+    /// By cell, the bone that is nearest through the cells, and how far it is: the straight distance and the steps that the way takes
+    /// more than a straight one. What none reaches, and what is much nearer to one through the air, has the bone nearest through
+    /// the air.
     pub(super) fn nearest_bones(&self, bones: &[SkinBone], exec: &Exec<'_>) -> Result<Vec<(usize, f64)>, Cancelled> {
         let places = &self.cells.places;
         let mut best = vec![(f64::INFINITY, 0, 0); places.len()];
