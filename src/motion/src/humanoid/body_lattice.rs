@@ -4,6 +4,7 @@ use crate::skin_weights::OccupiedCells;
 use glam::{DMat3, DVec3};
 use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
+use pliant_mesh::graph::WindingTree;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
@@ -29,7 +30,8 @@ pub(super) struct BodyLattice {
 impl BodyLattice {
     /// Finds the cells of a mesh, and keeps the largest part of them.
     pub(super) fn of_mesh(positions: &[DVec3], triangles: &[[u32; 3]], exec: &Exec<'_>) -> Result<Self, Cancelled> {
-        let cells = OccupiedCells::find(positions, triangles, CELLS, exec)?;
+        let tree = (!triangles.is_empty()).then(|| WindingTree::build(positions, triangles, exec.pool));
+        let cells = OccupiedCells::find(positions, tree.as_ref(), CELLS, exec)?;
         let whole = Self::around_places(cells.places, cells.side);
         let mut part = vec![FAR; whole.places.len()];
         let mut largest = (0, 0);

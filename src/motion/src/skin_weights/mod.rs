@@ -2,18 +2,21 @@
 //!
 //! Heat that flows over the surface (bone heat, Baran and Popović 2007) never reaches parts that hang together with no other,
 //! and needs a surface that is one. Here it flows through a lattice over the union of all parts: every cell that holds a
-//! vertex, that a triangle passes or that lies inside (`occupied_cells`). Each is pulled to its nearest bone with a stiffness of
-//! c / d², d in cells, and one solve on multigrid for all bones has the balance (`heat_columns`). Of a cell's weights
+//! vertex, that a triangle passes or that lies inside (`cell_paths`), and heat does not cross the air between parts that
+//! nearly touch. Each is pulled to the bone nearest through the cells with a stiffness of c / d², d in cells, and one solve
+//! on multigrid for all bones has the balance (`heat_columns`). Of a cell's weights
 //! the few heaviest are kept, without a jump where another becomes heavier (`four_heaviest`), and smoothed where that took
 //! something away. A vertex takes its weights from the cells around it, and weights that jump along an edge are evened out
 //! (`even_jumps`). As each cell is pulled to some bone, no vertex is left out.
 
+mod cell_paths;
 mod even_jumps;
 mod heat_columns;
 
 use super::skeleton::BoneInfluences;
-pub(super) use heat_columns::OccupiedCells;
-pub use heat_columns::{SkinBone, SkinWeightError, SkinWeightOptions, skin_weights};
+pub(super) use cell_paths::OccupiedCells;
+pub use cell_paths::SkinBone;
+pub use heat_columns::{SkinWeightError, SkinWeightOptions, skin_weights};
 
 /// Weights kept of each vertex; what comes after them is nothing that shows.
 const KEPT: usize = 12;
