@@ -314,6 +314,39 @@ fn instances_part_only_when_their_shapes_differ() {
     );
 }
 
+/// The square with a line along its diagonal, drawn by nodes of their own or one.
+fn square_and_line(nodes: &str, scene: &str, meshes: &[&str]) -> FileSet {
+    let mut draft = square_draft();
+    draft.points(&[SQUARE[0], SQUARE[2]]);
+    let meshes: Vec<String> = meshes.iter().map(|p| format!(r#"{{"primitives":[{p}]}}"#)).collect();
+    draft.glb(&format!(
+        r#""scene":0,"scenes":[{{"nodes":[{scene}]}}],"nodes":[{nodes}],"meshes":[{}]"#,
+        meshes.join(",")
+    ))
+}
+
+const LINE: &str = r#"{"attributes":{"POSITION":2},"mode":3}"#;
+
+#[test]
+fn instances_with_lines_part_only_when_their_shapes_differ() {
+    for primitives in [format!("{PLAIN},{LINE}"), format!("{LINE},{PLAIN}")] {
+        let nodes = r#"{"mesh":0},{"mesh":0,"translation":[5,0,0]}"#;
+        let files = square_and_line(nodes, "0,1", &[&primitives]);
+        let alike = json(&moved(&files, |_, p| p + DVec3::Z));
+        assert_eq!(alike["meshes"].as_array().map(Vec::len), Some(1));
+        assert_eq!(alike["accessors"].as_array().map(Vec::len), Some(3), "in place");
+
+        let stretched = |p: DVec3| p + DVec3::Z * p.x;
+        let written = moved(&files, |_, p| stretched(p));
+        assert_eq!((count(&written, "nodes"), count(&written, "meshes")), (2, 2));
+        let (rest, after) = (open(&files), open(&again(&written)));
+        assert_eq!(rest.positions.len(), 12);
+        for (i, (p, q)) in rest.positions.iter().zip(&after.positions).enumerate() {
+            assert!((stretched(*p) - *q).length() < 1e-6, "vertex {i}");
+        }
+    }
+}
+
 #[test]
 fn two_of_three_instances_may_share_the_new_shape() {
     let files = square_under(
