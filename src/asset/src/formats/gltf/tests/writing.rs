@@ -1,6 +1,8 @@
 //! What a changed file looks like, to the byte, and what of it is shared.
 
 use super::*;
+use crate::{BaseModel, CapLooks, EditedModel, PrimitiveRun, VertexBlends};
+use glam::DAffine3;
 
 #[test]
 fn text_outside_the_changed_places_stays_to_the_character() {
@@ -345,6 +347,59 @@ fn instances_with_lines_part_only_when_their_shapes_differ() {
             assert!((stretched(*p) - *q).length() < 1e-6, "vertex {i}");
         }
     }
+}
+
+#[test]
+fn only_triangles_under_a_flattening_node_are_refused() {
+    let nodes = r#"{"mesh":0},{"mesh":1,"scale":[1,1,0]},{"mesh":1}"#;
+    let files = square_and_line(nodes, "0,1,2", &[PLAIN, LINE]);
+    let rest = open(&files);
+    assert_eq!(
+        rest.warnings
+            .iter()
+            .filter(|(code, ..)| code == "singular-transform")
+            .count(),
+        1
+    );
+    let after = open(&again(&moved(&files, |_, p| p + DVec3::Z)));
+    let moves: Vec<f64> = rest
+        .positions
+        .iter()
+        .zip(&after.positions)
+        .map(|(p, q)| (*q - *p).z)
+        .collect();
+    assert_eq!(moves, [1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0]);
+
+    let runs: Vec<PrimitiveRun> = (0u32..)
+        .zip(&rest.primitives)
+        .map(|(primitive, p)| PrimitiveRun {
+            base: 0,
+            primitive,
+            first_vertex: p.first_vertex,
+            vertex_count: p.vertex_count,
+            first_triangle: if primitive == 0 { 0 } else { 1 },
+            triangle_count: u32::from(primitive == 0),
+        })
+        .collect();
+    let edited = EditedModel {
+        bases: &[BaseModel {
+            model: &rest,
+            world_from_model: DAffine3::IDENTITY,
+        }],
+        runs: &runs,
+        blends: &VertexBlends::identity(8),
+        triangles: &rest.triangles[..1],
+        origins: &[],
+        bare: &[],
+        caps: CapLooks::default(),
+    };
+    let now = places_of(&rest, |_, p| p + DVec3::Z);
+    let written = crate::write_edited_model(&edited, &now, Format::GLB).expect("writable");
+    assert_eq!(open(&again(&written)).positions, after.positions);
+
+    let files = square_and_line(nodes, "0,1,2", &[LINE, PLAIN]);
+    let refused = try_moved(&files, |_, p| p + DVec3::Z).expect_err("flat").to_string();
+    assert!(refused.contains("node 1") && refused.contains("flattens"), "{refused}");
 }
 
 #[test]
