@@ -317,7 +317,7 @@ pub fn write_edited_model_following<'a>(
     check_precision(format, positions, edited.triangles)?;
     let followers = followers.into();
     let mut written = write_checked_edit(edited, positions, format, &followers)?;
-    if (edited.bases.first()).is_some_and(|base| codec_of(format).edits(base.model.format)) {
+    if (edited.bases.first()).is_some_and(|base| codec_of(format).patches_files_of(base.model.format)) {
         written.followed.count_nodes(followers.nodes);
     }
     let passengers = edited.runs.iter().filter(|run| edited.primitive(run).is_passenger);
@@ -340,10 +340,10 @@ fn write_checked_edit(
         return Err(Error::unwritable(format, "there is no base"));
     };
     let codec = writer_of(format)?;
-    let is_frame = codec.edits(first.model.format);
+    let is_whole = codec.patches_files_of(first.model.format);
     let mut beyond = Vec::new();
-    for (k, base) in edited.bases.iter().enumerate().skip(usize::from(is_frame)) {
-        let is_merged = is_frame && codec.edits(base.model.format);
+    for (k, base) in edited.bases.iter().enumerate().skip(usize::from(is_whole)) {
+        let is_merged = is_whole && codec.patches_files_of(base.model.format);
         let things = codec_of(base.model.format).beyond_conversion(base.model, is_merged)?;
         let of = if k == 0 {
             String::new()
@@ -352,7 +352,7 @@ fn write_checked_edit(
         };
         beyond.extend(WrittenWarning::left_out(&things, format, &of));
     }
-    let mut written = if is_frame {
+    let mut written = if codec.edits(first.model.format) {
         write_into_frame(codec, edited, positions, format, followers)?
     } else {
         codec.build(&neutral_edited_model(edited, positions, format)?, format)?

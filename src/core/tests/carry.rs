@@ -1,7 +1,9 @@
 //! Laws of carried points: what a deformed surface does to whatever lies on it, in it and around it.
 
 use glam::{DQuat, DVec3};
-use pliant_core::asset::shapes;
+use pliant_core::asset::{FileSet, shapes};
+use pliant_core::edit::KeptSide;
+use pliant_core::engine::{CutLine, Deformer, DeformerLimits, Edit, EditCommand, EditedShape, OpenOptions, Plane};
 use pliant_core::exec::Exec;
 use pliant_core::mesh::carry::{CarriedFrame, CarriedPoints, CarrySurface, SurfaceCarrier, SurfaceMotion};
 use pliant_core::mesh::query::closest_point::blend_corners;
@@ -352,4 +354,59 @@ proptest! {
 
 fn same_rotation(a: DQuat, b: DQuat) -> bool {
     a.dot(b).abs() > 1.0 - 1e-12
+}
+
+#[test]
+fn points_whose_surface_is_taken_are_named() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let (points, faces) = standing_bar(0.3, 3.0, 20, 40);
+    let top = points.iter().copied().max_by(|a, b| a.y.total_cmp(&b.y)).expect("some");
+    let low = points.iter().copied().min_by(|a, b| a.y.total_cmp(&b.y)).expect("some");
+    let vertices: String = points
+        .iter()
+        .chain([&top, &low])
+        .map(|p| format!("v {} {} {}\n", p.x, p.y, p.z))
+        .collect();
+    let faces: String = faces
+        .iter()
+        .map(|f| f.map(|v| v + 1))
+        .map(|[a, b, c]| format!("f {a} {b} {c}\n"))
+        .collect();
+    let plane = Plane::new([0.0, 1.0, 0.0], (top.y + low.y) / 2.0 + 0.01);
+    let said = |edit: &Edit| -> Vec<String> {
+        let files = FileSet::single("bar.obj", format!("{vertices}{faces}"));
+        let mut deformer =
+            Deformer::open(files, &OpenOptions::default(), &DeformerLimits::default(), &exec).expect("opened");
+        let shape = deformer.rest_shape();
+        let poses = deformer.initial_poses();
+        let command = EditCommand {
+            edit,
+            on: EditedShape::Current,
+            shape: &shape,
+            poses: &poses,
+            settings: None,
+        };
+        let warnings = deformer.edit(&command, &exec).expect("edited").report.warnings;
+        let stay = warnings.iter().filter(|w| w.code == "loose-vertices-stay");
+        stay.map(|w| w.message.clone()).collect()
+    };
+    let cut = |keep| Edit::Cut {
+        along: CutLine::Plane(plane),
+        keep,
+        fill: true,
+        cap: None,
+    };
+    for side in [KeptSide::Below, KeptSide::Above] {
+        let said = said(&cut(side));
+        assert!(
+            said.len() == 1 && said[0].starts_with("1 vertex") && said[0].ends_with("primitive 0"),
+            "{said:?}"
+        );
+    }
+    let thin = Edit::Decimate {
+        region: None,
+        ratio: 0.5,
+    };
+    assert_eq!((said(&cut(KeptSide::Both)), said(&thin)), (vec![], vec![]));
 }

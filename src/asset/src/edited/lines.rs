@@ -121,3 +121,53 @@ impl FollowedLines {
 fn sorted([a, b]: [u32; 2]) -> [u32; 2] {
     [a.min(b), a.max(b)]
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::{
+        BaseModel, CapLooks, EditedModel, FileSet, Format, Limits, Model, PrimitiveRun, VertexBlends,
+        write_edited_model,
+    };
+
+    /// What is said when the second of two triangles is gone, and with it the last of four vertices.
+    fn said_without_second(name: &str, format: Format, text: String) -> Vec<String> {
+        let model = Model::read(FileSet::single(name, text), None, &Limits::default()).expect("readable");
+        let edited = EditedModel {
+            bases: &[BaseModel {
+                model: &model,
+                world_from_model: glam::DAffine3::IDENTITY,
+            }],
+            runs: &[PrimitiveRun {
+                base: 0,
+                primitive: 0,
+                first_vertex: 0,
+                vertex_count: 3,
+                first_triangle: 0,
+                triangle_count: 1,
+            }],
+            blends: &VertexBlends::identity(3),
+            triangles: &model.triangles[..1],
+            origins: &[],
+            bare: &[],
+            caps: CapLooks::default(),
+        };
+        let written = write_edited_model(&edited, &model.positions[..3], format).expect("writable");
+        written.warnings.iter().map(|w| w.message.clone()).collect()
+    }
+
+    #[test]
+    fn every_line_and_edge_that_is_gone_is_counted() {
+        let vertices = "0 0 0\n1 0 0\n0 1 0\n1 1 0\n4 4 4\n";
+        let obj: String = vertices.lines().map(|v| format!("v {v}\n")).collect();
+        let obj = format!("{obj}f 1 2 3\nf 2 4 3\nl 1 2\nl 2 4\nl 4 5\nl 1 2 4\np 1 5\n");
+        assert_eq!(
+            said_without_second("one.obj", Format::OBJ, obj),
+            ["after the edit the obj file has not: 2 lines, 2 vertices of lines and points"]
+        );
+        let head = "ply\nformat ascii 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\nelement face 2\n\
+                    property list uchar int vertex_indices\nelement edge 3\nproperty int vertex1\nproperty int vertex2\nend_header\n";
+        let ply = format!("{head}{vertices}3 0 1 2\n3 1 3 2\n0 1\n1 3\n3 4\n");
+        let said = said_without_second("one.ply", Format::PLY, ply);
+        assert!(said.len() == 1 && said[0].contains("2 edges"), "{said:?}");
+    }
+}

@@ -225,17 +225,22 @@ impl DerivedStructures {
         let surface = self.carry_surface(exec.pool);
         let held = self.byte_size();
         let admit = |bytes: u64| admit_bytes(held + bytes, limits, exec);
-        let model = RidingModel {
-            mesh: &self.mesh,
-            primitives: &topology.geometry().primitives,
-            rest: &topology.rest,
-            loose: self.loose_vertices_ride,
-        };
-        match RidingVertices::bind(surface, model, admit, exec) {
+        match RidingVertices::bind(surface, self.riding_model(), admit, exec) {
             // A later call may have more memory, and is not cancelled.
             Err(e @ (Error::TooLarge { .. } | Error::Cancelled)) => Err(e),
             // Another thread may have found the same meanwhile.
             found => answer(self.riders.get_or_init(|| found)),
+        }
+    }
+
+    /// The model of which vertices ride along.
+    pub fn riding_model(&self) -> RidingModel<'_> {
+        let topology = self.topology();
+        RidingModel {
+            mesh: &self.mesh,
+            primitives: &topology.geometry().primitives,
+            rest: &topology.rest,
+            loose: self.loose_vertices_ride,
         }
     }
 

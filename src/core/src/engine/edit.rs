@@ -17,6 +17,7 @@ use super::handle::Region;
 use super::part_families::VertexOrigins;
 use super::quality::{HandleBend, largest_turn};
 use super::region_context::{RegionContext, nodes_in_region, vertices_in_region, vertices_of_handle};
+use super::riding::without_surface;
 use super::seams::Seams;
 use super::settings::{EDITED_AT_REST, ESTIMATED_MEMORY, HeldBeside, SolveMode, SolveSettings};
 use super::shape::{ModelShape, Shading};
@@ -81,7 +82,7 @@ impl Deformer {
         let applied = apply_patch(&surface.own_surface(), patch, &surface.first_vertices())?;
         self.admit_size(&applied, exec)?;
         let mut carried = self.carry(&applied, patch, &surface.seams, order, exec)?;
-        let mut report = self.report_edit(before, &applied, patch);
+        let mut report = self.report_edit(before, &applied, patch, order.edit.kind());
         let points_before = self.derived.mesh.positions.len();
         let families = (self.derived.families).after_edit(points_before, &surface.surface(), &applied, patch);
         let (mut topology, applied) = (self.topology()).after_edit(&surface, &origins, applied, patch, families);
@@ -134,7 +135,13 @@ impl Deformer {
     }
 
     /// What an edit has done, but for the shape after it.
-    fn report_edit(&self, before: MeshCounts, applied: &PatchedSurface, patch: &SurfacePatch) -> EditReport {
+    fn report_edit(
+        &self,
+        before: MeshCounts,
+        applied: &PatchedSurface,
+        patch: &SurfacePatch,
+        kind: EditKind,
+    ) -> EditReport {
         // What rides along is in no patch.
         let riding = self.topology().passenger_triangles();
         let mut report = EditReport {
@@ -156,6 +163,10 @@ impl Deformer {
                 "{collapsed} triangles without area and {duplicate} that repeat another are left out from now on"
             );
             (report.warnings).push(DeformerWarning::new("triangles-dropped", message, ""));
+        }
+        // Others that take a vertex have other surface in its place.
+        if let EditKind::Cut | EditKind::Delete | EditKind::Clean = kind {
+            (report.warnings).extend(without_surface(self.derived.riding_model(), &applied.point_from_old));
         }
         report
     }

@@ -72,8 +72,8 @@ pub(super) fn main_file(id: &str, exported: ExportedModel, headers: &HeaderMap) 
 pub(super) fn add_warnings<'a>(headers: &mut HeaderMap, warnings: impl Iterator<Item = &'a str>) {
     let plain = |c: char| if c.is_ascii_graphic() || c == ' ' { c } else { '?' };
     for warning in warnings {
-        let line: String = warning.chars().map(plain).collect();
-        if let Ok(value) = HeaderValue::from_str(&clip(&line)) {
+        let line: String = clip(warning).replace('…', "...").chars().map(plain).collect();
+        if let Ok(value) = HeaderValue::from_str(&line) {
             headers.append(HeaderName::from_static("x-pliant-warning"), value);
         }
     }
@@ -338,5 +338,13 @@ mod tests {
     #[test]
     fn a_file_name_cannot_break_out_of_its_quotes() {
         assert_eq!(disposition("a\"b\r\nc.glb"), "attachment; filename=\"a_b__c.glb\"");
+    }
+
+    #[test]
+    fn long_warnings_stay_plain_in_their_header() {
+        let mut headers = HeaderMap::new();
+        add_warnings(&mut headers, ["é".repeat(200).as_str()].into_iter());
+        let value = headers["x-pliant-warning"].to_str().expect("plain characters");
+        assert_eq!(value, format!("{}...", "?".repeat(100)));
     }
 }

@@ -43,6 +43,10 @@ pub(super) fn wanted_attributes(
             }
             let world_from_mesh = row.placement.transforms(doc, primitive)?;
             let Some(mesh_from_world) = world_from_mesh.inverse() else {
+                if row.triangles.is_empty() {
+                    // Points and lines stay as they are stored; what the reader warned of.
+                    return Ok(DeformedAttributes::default());
+                }
                 return Err(shape.fault.unwritable(format!(
                     "vertices under node {} have moved, but its transform flattens space and cannot be inverted",
                     row.node

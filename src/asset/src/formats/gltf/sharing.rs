@@ -357,13 +357,15 @@ pub(super) fn divide_meshes(doc: &GltfDocument<'_>, notes: &GltfNotes, wanted: &
         rows_of: BTreeMap::new(),
         staying: BTreeSet::new(),
     };
-    // Rows come node by node, so a node's rows are neighbours.
-    let mut nodes_of: BTreeMap<usize, Vec<(usize, Vec<usize>)>> = BTreeMap::new();
+    // A node may have rows at two places: those of points and lines come after all those of triangles.
+    let mut rows_of_node: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
     for (i, row) in notes.rows.iter().enumerate() {
-        let nodes = nodes_of.entry(row.mesh).or_default();
-        match nodes.last_mut().filter(|(node, _)| *node == row.node) {
-            Some((_, rows)) => rows.push(i),
-            None => nodes.push((row.node, vec![i])),
+        rows_of_node.entry(row.node).or_default().push(i);
+    }
+    let mut nodes_of: BTreeMap<usize, Vec<(usize, Vec<usize>)>> = BTreeMap::new();
+    for row in &notes.rows {
+        if let Some(rows) = rows_of_node.remove(&row.node) {
+            nodes_of.entry(row.mesh).or_default().push((row.node, rows));
         }
     }
     let mut outsiders: BTreeMap<usize, Vec<usize>> = BTreeMap::new();

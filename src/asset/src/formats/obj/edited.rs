@@ -57,11 +57,16 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<WrittenFiles, Er
             faces.add_run(&mut out, run, parted, statements, (output.run_faces)(run).as_ref());
         }
     }
-    let mut lost = 0;
+    let mut lost = LostElements::default();
     for (base, statements) in (0u32..).zip(&all) {
         if let Some(statements) = statements.as_ref().filter(|s| !s.elements.is_empty()) {
             let own = edited.runs.iter().filter(|run| run.base == base);
-            lost += faces.add_elements(base as usize, statements, &FollowedLines::of_runs(edited, own));
+            faces.add_elements(
+                base as usize,
+                statements,
+                &FollowedLines::of_runs(edited, own),
+                &mut lost,
+            );
         }
     }
     faces.write_faces(&mut out);
@@ -80,8 +85,16 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<WrittenFiles, Er
             companions.entry(name.clone()).or_insert_with(|| bytes.to_vec());
         }
     }
-    let lost = counted(lost, "vertex of lines and points", "vertices of lines and points");
-    let left_out = WrittenWarning::left_out(lost.as_slice(), output.format, "after the edit ");
+    let of_others = counted(
+        lost.vertices,
+        "vertex of lines and points",
+        "vertices of lines and points",
+    );
+    let lost: Vec<String> = [counted(lost.lines, "line", "lines"), of_others]
+        .into_iter()
+        .flatten()
+        .collect();
+    let left_out = WrittenWarning::left_out(&lost, output.format, "after the edit ");
     Ok(WrittenFiles {
         main: out,
         companions,
@@ -128,6 +141,15 @@ struct EditedFaces<'a> {
     /// `vt` and `vn` lines written so far.
     textures: u64,
     normals: u64,
+}
+
+/// What of lines and points an edit has taken.
+#[derive(Default)]
+struct LostElements {
+    /// Lines of which less than two vertices are left.
+    lines: usize,
+    /// Vertices of other lines, and of points.
+    vertices: usize,
 }
 
 impl<'a> EditedFaces<'a> {
@@ -195,10 +217,15 @@ impl<'a> EditedFaces<'a> {
         self.normals += lines.len() as u64;
     }
 
-    /// Takes note of lines and points; answers how many of their vertices are gone.
-    fn add_elements(&mut self, base: usize, statements: &ObjStatements<'a>, followed: &FollowedLines) -> usize {
+    /// Takes note of lines and points, and of what of them is gone.
+    fn add_elements(
+        &mut self,
+        base: usize,
+        statements: &ObjStatements<'a>,
+        followed: &FollowedLines,
+        lost: &mut LostElements,
+    ) {
         let objects = object_numbers(&statements.states);
-        let mut lost = 0;
         for ObjElement {
             state,
             keyword,
@@ -208,12 +235,16 @@ impl<'a> EditedFaces<'a> {
             let there = match keyword {
                 b'l' => {
                     let (line, gone) = followed.line(vertices);
-                    lost += gone;
-                    line.unwrap_or_default()
+                    let Some(line) = line else {
+                        lost.lines += 1;
+                        continue;
+                    };
+                    lost.vertices += gone;
+                    line
                 }
                 _ => {
                     let there: Vec<u32> = vertices.iter().filter_map(|v| followed.vertex(*v)).collect();
-                    lost += vertices.len() - there.len();
+                    lost.vertices += vertices.len() - there.len();
                     there
                 }
             };
@@ -231,7 +262,6 @@ impl<'a> EditedFaces<'a> {
                 text: [&[*keyword], numbers.as_bytes()].concat(),
             });
         }
-        lost
     }
 
     fn write_faces(&mut self, out: &mut Vec<u8>) {

@@ -363,7 +363,7 @@ impl EditedPlyWriter<'_, '_> {
         Ok(())
     }
 
-    /// Finds where the edges of the first base are now; answers how many are gone though the surface around them is not.
+    /// Finds where the edges of the first base are now; answers how many are gone.
     fn follow_edges(&mut self) -> usize {
         let elements = self.first.header.elements.iter().filter(|e| e.name == "edge");
         let mut named = elements.clone().filter_map(edge_ends);
@@ -377,9 +377,9 @@ impl EditedPlyWriter<'_, '_> {
             let [a, b] = ends.map(|end| row[end] as u32);
             // An edge that lies on no triangle joins its two vertices, where both are left.
             let both = || Some(vec![[followed.vertex(a)?, followed.vertex(b)?]]);
-            let along = followed.edges_along(a, b).or_else(both);
-            lost += usize::from(along.is_none());
-            for edge in along.into_iter().flatten() {
+            let along = followed.edges_along(a, b).or_else(both).unwrap_or_default();
+            lost += usize::from(along.is_empty());
+            for edge in along {
                 let mut row = row.clone();
                 ends.iter()
                     .zip(edge)

@@ -12,14 +12,15 @@ use super::text::{
 };
 use crate::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile};
 use crate::edited::{BaseModel, EditedModel, TriangleOrigins};
-use crate::files::{ReadWatch, check_main_size};
+use crate::files::{ReadWatch, check_main_size, counted};
 use crate::format::{FormatDetails, Recognition};
 use crate::model::{FileNotes, is_same};
 use crate::neutral::NeutralModel;
 use crate::vertex_attributes::AttributeKeys;
-use crate::{Error, FileSet, Format, Geometry, Model, WrittenFiles};
+use crate::{Error, FileSet, Format, Geometry, Model, Primitive, WrittenFiles, WrittenWarning};
 use glam::DVec3;
 use pliant_mesh::NONE;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// The format, by what it is known.
@@ -59,7 +60,17 @@ impl FormatCodec for StlCodec {
     }
 
     fn build(&self, neutral: &NeutralModel, _: Format) -> Result<WrittenFiles, Error> {
-        facets_file(&neutral.geometry.triangles, &neutral.geometry.positions).map(WrittenFiles::single)
+        let Geometry {
+            triangles,
+            positions,
+            primitives,
+            ..
+        } = &neutral.geometry;
+        let parts = primitives.iter().map(|own| (own, own.vertices()));
+        Ok(WrittenFiles {
+            warnings: bare_points(parts, triangles, positions.len()).into_iter().collect(),
+            ..WrittenFiles::single(facets_file(triangles, positions)?)
+        })
     }
 
     /// Facets need nothing of the first base but its header.
@@ -74,7 +85,13 @@ impl FormatCodec for StlCodec {
             Some(first) => write_edited_text(edited, positions, newline_of(&first.files.main)),
             None => write_edited_binary(edited, positions),
         };
-        written.map(WrittenFiles::single)
+        let parts = edited.runs.iter().map(|run| (edited.primitive(run), run.vertices()));
+        Ok(WrittenFiles {
+            warnings: bare_points(parts, edited.triangles, positions.len())
+                .into_iter()
+                .collect(),
+            ..WrittenFiles::single(written?)
+        })
     }
 
     /// Which solid a facet is of, or its attribute.
@@ -91,6 +108,25 @@ impl FormatCodec for StlCodec {
         }
         Ok(())
     }
+}
+
+/// Says how many vertices are in no facet. Those of primitives of points or lines are named by these.
+fn bare_points<'p>(
+    parts: impl Iterator<Item = (&'p Primitive, Range<usize>)>,
+    triangles: &[[u32; 3]],
+    count: usize,
+) -> Option<WrittenWarning> {
+    let mut bare = vec![false; count];
+    for (primitive, vertices) in parts {
+        bare[vertices].fill(!(primitive.is_passenger && primitive.index_count == 0));
+    }
+    triangles.as_flattened().iter().for_each(|v| bare[*v as usize] = false);
+    let bare = counted(
+        bare.iter().filter(|b| **b).count(),
+        "point in no triangle",
+        "points in no triangle",
+    );
+    WrittenWarning::left_out(bare.as_slice(), FORMAT, "")
 }
 
 /// What the writers have to remember of a file.

@@ -1,6 +1,6 @@
 use super::super::text::tests::assert_refused;
 use super::*;
-use crate::{FileSet, Limits, Model};
+use crate::{CapLooks, FileSet, Limits, Model, PrimitiveRun, VertexBlends};
 use glam::Vec3;
 
 fn read_bytes(bytes: impl Into<Vec<u8>>) -> Result<Model, Error> {
@@ -156,4 +156,47 @@ fn words_of_other_programs_are_read() {
         "`1,0` has a decimal comma",
         comma.as_bytes(),
     );
+}
+
+#[test]
+fn what_facets_do_not_hold_is_said_with_an_edit_and_without() {
+    let text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nv 9 9 9\nf 1 2 3\nf 2 4 3\nl 1 2\n";
+    let model = Model::read(FileSet::single("one.obj", text), None, &Limits::default()).expect("readable");
+    let said = |written: &WrittenFiles| -> Vec<String> {
+        let left_out = written.warnings.iter().filter(|w| w.code == "left-out");
+        left_out.map(|w| w.message.clone()).collect()
+    };
+    let mut expected = [
+        "the stl file has not: 1 line",
+        "the stl file has not: 1 point in no triangle",
+    ];
+    expected.sort_unstable();
+    let mut whole = said(&model.write(&model.positions, Format::STL).expect("writable"));
+    whole.sort_unstable();
+    assert_eq!(whole, expected);
+
+    let runs = [PrimitiveRun {
+        base: 0,
+        primitive: 0,
+        first_vertex: 0,
+        vertex_count: 5,
+        first_triangle: 0,
+        triangle_count: 2,
+    }];
+    let edited = EditedModel {
+        bases: &[BaseModel {
+            model: &model,
+            world_from_model: glam::DAffine3::IDENTITY,
+        }],
+        runs: &runs,
+        blends: &VertexBlends::identity(5),
+        triangles: &model.triangles,
+        origins: &[],
+        bare: &[],
+        caps: CapLooks::default(),
+    };
+    let written = crate::write_edited_model(&edited, &model.positions, Format::STL).expect("writable");
+    let mut after = said(&written);
+    after.sort_unstable();
+    assert_eq!(after, expected);
 }

@@ -96,6 +96,10 @@ impl<'a> PrimitiveMaker<'a, '_> {
             }
             (MeshSpace::OfRow, placement, _) => placement.transforms(doc, primitive)?,
         };
+        if self.is_frame && mode.is_some() && world_from_mesh.inverse().is_none() {
+            // Points and lines that cannot move stay as they are stored.
+            return Ok(None);
+        }
         let stays_stored = match space {
             MeshSpace::OfRow => true,
             MeshSpace::OfNode(one) => row.placement == Placement::Whole(one),
@@ -247,12 +251,12 @@ impl<'a> PrimitiveMaker<'a, '_> {
         let stored = stored.unwrap_or_default();
         let rest = &self.edited.base(run).model.geometry.positions;
         let mesh_from_world = world_from_mesh.inverse();
+        let cannot_move = mesh_from_world.is_none() && primitive.mode() < 4;
         let mut values = Vec::with_capacity(run.vertex_count as usize * 3);
         for (i, vertex) in run.vertices().enumerate() {
             let now = self.positions[vertex];
             if let VertexBlend::Vertex(old) = self.edited.blend(vertex)
-                && stays_stored
-                && position_bits(rest[old as usize]) == position_bits(now)
+                && (stays_stored && position_bits(rest[old as usize]) == position_bits(now) || cannot_move)
                 && let Some(as_stored) = stored.as_chunks::<3>().0.get(old as usize - row.vertices.start)
             {
                 values.extend_from_slice(as_stored);

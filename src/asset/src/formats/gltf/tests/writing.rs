@@ -1,6 +1,8 @@
 //! What a changed file looks like, to the byte, and what of it is shared.
 
 use super::*;
+use crate::{BaseModel, CapLooks, EditedModel, PrimitiveRun, VertexBlends};
+use glam::DAffine3;
 
 #[test]
 fn text_outside_the_changed_places_stays_to_the_character() {
@@ -312,6 +314,92 @@ fn instances_part_only_when_their_shapes_differ() {
         bin(&written.main)[..48],
         "the first still reads the old bytes"
     );
+}
+
+/// The square with a line along its diagonal, drawn by nodes of their own or one.
+fn square_and_line(nodes: &str, scene: &str, meshes: &[&str]) -> FileSet {
+    let mut draft = square_draft();
+    draft.points(&[SQUARE[0], SQUARE[2]]);
+    let meshes: Vec<String> = meshes.iter().map(|p| format!(r#"{{"primitives":[{p}]}}"#)).collect();
+    draft.glb(&format!(
+        r#""scene":0,"scenes":[{{"nodes":[{scene}]}}],"nodes":[{nodes}],"meshes":[{}]"#,
+        meshes.join(",")
+    ))
+}
+
+const LINE: &str = r#"{"attributes":{"POSITION":2},"mode":3}"#;
+
+#[test]
+fn instances_with_lines_part_only_when_their_shapes_differ() {
+    for primitives in [format!("{PLAIN},{LINE}"), format!("{LINE},{PLAIN}")] {
+        let nodes = r#"{"mesh":0},{"mesh":0,"translation":[5,0,0]}"#;
+        let files = square_and_line(nodes, "0,1", &[&primitives]);
+        let alike = json(&moved(&files, |_, p| p + DVec3::Z));
+        assert_eq!(alike["meshes"].as_array().map(Vec::len), Some(1));
+        assert_eq!(alike["accessors"].as_array().map(Vec::len), Some(3), "in place");
+
+        let stretched = |p: DVec3| p + DVec3::Z * p.x;
+        let written = moved(&files, |_, p| stretched(p));
+        assert_eq!((count(&written, "nodes"), count(&written, "meshes")), (2, 2));
+        let (rest, after) = (open(&files), open(&again(&written)));
+        assert_eq!(rest.positions.len(), 12);
+        for (i, (p, q)) in rest.positions.iter().zip(&after.positions).enumerate() {
+            assert!((stretched(*p) - *q).length() < 1e-6, "vertex {i}");
+        }
+    }
+}
+
+#[test]
+fn only_triangles_under_a_flattening_node_are_refused() {
+    let nodes = r#"{"mesh":0},{"mesh":1,"scale":[1,1,0]},{"mesh":1}"#;
+    let files = square_and_line(nodes, "0,1,2", &[PLAIN, LINE]);
+    let rest = open(&files);
+    assert_eq!(
+        rest.warnings
+            .iter()
+            .filter(|(code, ..)| code == "singular-transform")
+            .count(),
+        1
+    );
+    let after = open(&again(&moved(&files, |_, p| p + DVec3::Z)));
+    let moves: Vec<f64> = rest
+        .positions
+        .iter()
+        .zip(&after.positions)
+        .map(|(p, q)| (*q - *p).z)
+        .collect();
+    assert_eq!(moves, [1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0]);
+
+    let runs: Vec<PrimitiveRun> = (0u32..)
+        .zip(&rest.primitives)
+        .map(|(primitive, p)| PrimitiveRun {
+            base: 0,
+            primitive,
+            first_vertex: p.first_vertex,
+            vertex_count: p.vertex_count,
+            first_triangle: if primitive == 0 { 0 } else { 1 },
+            triangle_count: u32::from(primitive == 0),
+        })
+        .collect();
+    let edited = EditedModel {
+        bases: &[BaseModel {
+            model: &rest,
+            world_from_model: DAffine3::IDENTITY,
+        }],
+        runs: &runs,
+        blends: &VertexBlends::identity(8),
+        triangles: &rest.triangles[..1],
+        origins: &[],
+        bare: &[],
+        caps: CapLooks::default(),
+    };
+    let now = places_of(&rest, |_, p| p + DVec3::Z);
+    let written = crate::write_edited_model(&edited, &now, Format::GLB).expect("writable");
+    assert_eq!(open(&again(&written)).positions, after.positions);
+
+    let files = square_and_line(nodes, "0,1,2", &[LINE, PLAIN]);
+    let refused = try_moved(&files, |_, p| p + DVec3::Z).expect_err("flat").to_string();
+    assert!(refused.contains("node 1") && refused.contains("flattens"), "{refused}");
 }
 
 #[test]
