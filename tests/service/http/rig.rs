@@ -90,3 +90,22 @@ async fn what_makes_no_rig_is_reported_by_its_field_and_doubts_are_told() {
             .all(|joint| !joint["reason"].as_str().unwrap_or_default().is_empty())
     );
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_rig_is_made_of_what_edits_have_left_of_a_model() {
+    let server = Server::start().await;
+    let opened = server.post("/v1/sessions?sample=figure").document().await;
+    let id = opened["id"].as_str().expect("an id").to_owned();
+    let order = json!({"preset": "cmu", "up": "y", "front": "z"});
+    let whole = rig(&server, &id, order.clone()).await;
+    let knee = joint(&whole, "lKnee")["at"][1].as_f64().expect("a height");
+    let cut = json!({"cut": {"plane": {"normal": [0, 1, 0], "offset": knee}, "keep": "ABOVE", "fill": true}});
+    let edited = post(&server, &format!("/v1/sessions/{id}/edits"), cut).await;
+    assert_eq!(edited.status(), 200);
+    let rest = rig(&server, &id, order).await;
+    for name in ["lAnkle", "rAnkle"] {
+        assert_eq!(joint(&whole, name)["inside"], true, "{whole}");
+        assert_ne!(joint(&rest, name)["inside"], true, "there are no feet any more: {rest}");
+    }
+    assert_eq!(joint(&rest, "lShoulder")["inside"], true, "{rest}");
+}

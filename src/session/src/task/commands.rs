@@ -20,9 +20,7 @@ use crate::stream::frame_window::FrameContext;
 use crate::task::session_task::{SessionTask, no_handles};
 use glam::DVec3;
 use pliant_core::engine;
-use pliant_core::engine::{
-    Animation, ClipSource, Deformer, ModelShape, RigOrder, TopologyState, left_out_of_rig, make_rig,
-};
+use pliant_core::engine::{Animation, ClipSource, Deformer, ModelShape, RigOrder, TopologyState, left_out_of_rig};
 use pliant_exec::Exec;
 use pliant_exec::progress::Progress as _;
 use pliant_motion::bvh::read_bvh;
@@ -312,9 +310,9 @@ impl RunCall for MakeRigOrder {
                         up: self.up,
                         front: self.front,
                     };
-                    let model = deformer.deformer("making rigs")?.model();
-                    let mut made = make_rig(model, &order, &exec)?;
-                    made.warnings.extend(left_out_of_rig(model)?);
+                    let deformer = deformer.deformer("making rigs")?;
+                    let mut made = deformer.make_rig(&order, &exec)?;
+                    made.warnings.extend(left_out_of_rig(deformer.model())?);
                     Ok::<_, engine::Error>(made_rig_message(&made))
                 },
             )
