@@ -73,12 +73,17 @@ async fn what_makes_no_rig_is_reported_by_its_field_and_doubts_are_told() {
         (json!({"up": "w"}), "up"),
         (json!({"up": "z", "front": "-z"}), "front"),
         (json!({"preset": "other"}), "preset"),
+        (json!({"joints": {"lElbow": {"at": [1e30, 0, 0]}}}), "joints.lElbow"),
     ] {
         let answer = post(&server, &path, body.clone()).await;
         assert_eq!(answer.status(), 422, "{body}");
         let problem: Value = answer.json().await.expect("JSON");
         assert_eq!(problem["errors"][0]["field"], field, "{problem}");
     }
+    let answer = post(&server, &path, json!({"bvh": "bm90aGluZw=="})).await;
+    assert_eq!(answer.status(), 400);
+    let problem: Value = answer.json().await.expect("JSON");
+    assert_eq!(problem["errors"][0]["field"], "bvh", "{problem}");
     // A creature with four legs is not a figure; where joints would be and what speaks against them is returned all the same.
     let made = rig(&server, &id, json!({})).await;
     let joints = made["joints"].as_array().expect("joints");

@@ -317,7 +317,19 @@ impl RunCall for MakeRigOrder {
                 },
             )
             .await?;
-        made.map_err(|error| task.failure(error, &watch))
+        made.map_err(|error| named_as_in_request(task.failure(error, &watch)))
+    }
+}
+
+/// A request for a rig has its clip in the field `bvh`.
+fn named_as_in_request(error: Error) -> Error {
+    match error.field.as_deref() {
+        Some("clip") => Error {
+            field: Some("bvh".into()),
+            message: error.message.replacen("clip: ", "bvh: ", 1),
+            ..error
+        },
+        _ => error,
     }
 }
 

@@ -95,7 +95,7 @@ impl MadeRig {
             )
         });
         let problem = format!(
-            "joints are not sure{axes}; scores below {LEAST_SCORE}: {}; make a rig with `pliant rig`, and give joints with --at \
+            "joints are not sure{axes}; scores below {LEAST_SCORE}: {}; give `pliant rig` joints with --at \
              NAME=x,y,z or --landmarks FILE, or how the figure stands with --up and --front",
             lines.collect::<Vec<_>>().join("; ")
         );
@@ -187,6 +187,7 @@ fn make_rig_in(body: &BodySurface<'_>, model: &Model, order: &RigOrder<'_>, exec
             (&preset, ReferencePose::Frame(0))
         }
     };
+    check_landmarks(&order.landmarks)?;
     let mut warnings = Vec::new();
     let bones = match bones_of_names(skeleton) {
         Ok(bones) => bones,
@@ -242,7 +243,7 @@ fn make_rig_in(body: &BodySurface<'_>, model: &Model, order: &RigOrder<'_>, exec
         let names = outside.join(", ");
         let lie = if outside.len() == 1 { "lies" } else { "lie" };
         warnings.push(format!(
-            "{names} {lie} outside of the model; --at puts a joint elsewhere"
+            "{names} {lie} outside of the model; if that is wrong, give their places"
         ));
     }
     let unsure = made.joints.iter().filter(|joint| !joint.reason.is_empty());
@@ -265,6 +266,17 @@ fn make_rig_in(body: &BodySurface<'_>, model: &Model, order: &RigOrder<'_>, exec
         axes,
         warnings,
     })
+}
+
+fn check_landmarks(landmarks: &BTreeMap<&'static str, DVec3>) -> Result<(), Error> {
+    let most = MotionRig::FARTHEST;
+    match landmarks.iter().find(|(_, at)| at.abs().max_element() > most) {
+        Some((name, at)) => {
+            let problem = format!("is {at}, coordinates from -{most:e} to {most:e} are allowed");
+            Err(Error::invalid(format!("joints.{name}"), problem))
+        }
+        None => Ok(()),
+    }
 }
 
 /// The rig of a model's skin and its rest skeleton; `None` without a skin.
