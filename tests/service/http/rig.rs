@@ -73,12 +73,17 @@ async fn what_makes_no_rig_is_reported_by_its_field_and_doubts_are_told() {
         (json!({"up": "w"}), "up"),
         (json!({"up": "z", "front": "-z"}), "front"),
         (json!({"preset": "other"}), "preset"),
+        (json!({"joints": {"lElbow": {"at": [1e30, 0, 0]}}}), "joints.lElbow"),
     ] {
         let answer = post(&server, &path, body.clone()).await;
         assert_eq!(answer.status(), 422, "{body}");
         let problem: Value = answer.json().await.expect("JSON");
         assert_eq!(problem["errors"][0]["field"], field, "{problem}");
     }
+    let answer = post(&server, &path, json!({"bvh": "bm90aGluZw=="})).await;
+    assert_eq!(answer.status(), 400);
+    let problem: Value = answer.json().await.expect("JSON");
+    assert_eq!(problem["errors"][0]["field"], "bvh", "{problem}");
     // A creature with four legs is not a figure; where joints would be and what speaks against them is returned all the same.
     let made = rig(&server, &id, json!({})).await;
     let joints = made["joints"].as_array().expect("joints");
@@ -89,4 +94,23 @@ async fn what_makes_no_rig_is_reported_by_its_field_and_doubts_are_told() {
             .iter()
             .all(|joint| !joint["reason"].as_str().unwrap_or_default().is_empty())
     );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_rig_is_made_of_what_edits_have_left_of_a_model() {
+    let server = Server::start().await;
+    let opened = server.post("/v1/sessions?sample=figure").document().await;
+    let id = opened["id"].as_str().expect("an id").to_owned();
+    let order = json!({"preset": "cmu", "up": "y", "front": "z"});
+    let whole = rig(&server, &id, order.clone()).await;
+    let knee = joint(&whole, "lKnee")["at"][1].as_f64().expect("a height");
+    let cut = json!({"cut": {"plane": {"normal": [0, 1, 0], "offset": knee}, "keep": "ABOVE", "fill": true}});
+    let edited = post(&server, &format!("/v1/sessions/{id}/edits"), cut).await;
+    assert_eq!(edited.status(), 200);
+    let rest = rig(&server, &id, order).await;
+    for name in ["lAnkle", "rAnkle"] {
+        assert_eq!(joint(&whole, name)["inside"], true, "{whole}");
+        assert_ne!(joint(&rest, name)["inside"], true, "there are no feet any more: {rest}");
+    }
+    assert_eq!(joint(&rest, "lShoulder")["inside"], true, "{rest}");
 }

@@ -20,9 +20,7 @@ use crate::stream::frame_window::FrameContext;
 use crate::task::session_task::{SessionTask, no_handles};
 use glam::DVec3;
 use pliant_core::engine;
-use pliant_core::engine::{
-    Animation, ClipSource, Deformer, ModelShape, RigOrder, TopologyState, left_out_of_rig, make_rig,
-};
+use pliant_core::engine::{Animation, ClipSource, Deformer, ModelShape, RigOrder, TopologyState, left_out_of_rig};
 use pliant_exec::Exec;
 use pliant_exec::progress::Progress as _;
 use pliant_motion::bvh::read_bvh;
@@ -312,14 +310,26 @@ impl RunCall for MakeRigOrder {
                         up: self.up,
                         front: self.front,
                     };
-                    let model = deformer.deformer("making rigs")?.model();
-                    let mut made = make_rig(model, &order, &exec)?;
-                    made.warnings.extend(left_out_of_rig(model)?);
+                    let deformer = deformer.deformer("making rigs")?;
+                    let mut made = deformer.make_rig(&order, &exec)?;
+                    made.warnings.extend(left_out_of_rig(deformer.model())?);
                     Ok::<_, engine::Error>(made_rig_message(&made))
                 },
             )
             .await?;
-        made.map_err(|error| task.failure(error, &watch))
+        made.map_err(|error| named_as_in_request(task.failure(error, &watch)))
+    }
+}
+
+/// A request for a rig has its clip in the field `bvh`.
+fn named_as_in_request(error: Error) -> Error {
+    match error.field.as_deref() {
+        Some("clip") => Error {
+            field: Some("bvh".into()),
+            message: error.message.replacen("clip: ", "bvh: ", 1),
+            ..error
+        },
+        _ => error,
     }
 }
 

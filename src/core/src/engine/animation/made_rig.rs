@@ -3,7 +3,8 @@
 //! Bones of a rig carry the vertices of a model. What is not solved in a model that has a skin: what no skin places, such as hulls for collisions, props and floors, and coarser
 //! levels of detail of what is solved. Rigs are found without it, and clips are solved without it.
 
-use crate::asset::{CarryingJoints, Model, MovingScene, PlayedJoint, Primitive};
+use crate::asset::{CarryingJoints, Geometry, Model, MovingScene, PlayedJoint, Primitive};
+use crate::engine::deformer::Deformer;
 use crate::engine::error::Error;
 use crate::engine::settings::{Passenger, PassengerKind};
 use crate::exec::Exec;
@@ -94,7 +95,7 @@ impl MadeRig {
             )
         });
         let problem = format!(
-            "joints are not sure{axes}; scores below {LEAST_SCORE}: {}; make a rig with `pliant rig`, and give joints with --at \
+            "joints are not sure{axes}; scores below {LEAST_SCORE}: {}; give `pliant rig` joints with --at \
              NAME=x,y,z or --landmarks FILE, or how the figure stands with --up and --front",
             lines.collect::<Vec<_>>().join("; ")
         );
@@ -109,23 +110,24 @@ struct BodySurface<'a> {
 }
 
 impl<'a> BodySurface<'a> {
-    fn of(model: &'a Model) -> Result<Self, Error> {
+    /// Of a model as it was read, or as edits have left it: its positions, and its triangles and primitives.
+    fn of(model: &Model, all: &'a [DVec3], geometry: &'a Geometry) -> Result<Self, Error> {
         let left_out = left_out_primitives(model)?;
         if left_out.is_empty() {
             return Ok(Self {
-                positions: Cow::Borrowed(&model.positions),
-                triangles: Cow::Borrowed(&model.triangles),
+                positions: Cow::Borrowed(all),
+                triangles: Cow::Borrowed(&geometry.triangles),
             });
         }
         let mut positions = Vec::new();
-        let mut number_of = vec![None; model.positions.len()];
+        let mut number_of = vec![None; all.len()];
         for (_, primitive) in (0..)
-            .zip(&model.primitives)
+            .zip(&geometry.primitives)
             .filter(|(number, _)| !left_out.contains(number))
         {
             for vertex in primitive.vertices() {
                 number_of[vertex] = Some(positions.len() as u32);
-                positions.push(model.positions[vertex]);
+                positions.push(all[vertex]);
             }
         }
         let renumbered = |t: &[u32; 3]| {
@@ -133,7 +135,7 @@ impl<'a> BodySurface<'a> {
             Some([a?, b?, c?])
         };
         Ok(Self {
-            triangles: model.triangles.iter().filter_map(renumbered).collect(),
+            triangles: geometry.triangles.iter().filter_map(renumbered).collect(),
             positions: Cow::Owned(positions),
         })
     }
@@ -153,7 +155,23 @@ pub fn left_out_of_rig(model: &Model) -> Result<Vec<String>, Error> {
 /// # Errors
 /// [`Error::Invalid`] for a clip whose joints are no body's, or a model that has no place for some joint.
 pub fn make_rig(model: &Model, order: &RigOrder<'_>, exec: &Exec<'_>) -> Result<MadeRig, Error> {
-    let body = BodySurface::of(model)?;
+    let body = BodySurface::of(model, &model.positions, &model.geometry)?;
+    make_rig_in(&body, model, order, exec)
+}
+
+impl Deformer {
+    /// [`make_rig`] of the model's rest shape as edits have left it.
+    ///
+    /// # Errors
+    /// Those of [`make_rig`].
+    pub fn make_rig(&self, order: &RigOrder<'_>, exec: &Exec<'_>) -> Result<MadeRig, Error> {
+        let body = BodySurface::of(self.model(), self.rest(), self.geometry())?;
+        make_rig_in(&body, self.model(), order, exec)
+    }
+}
+
+/// [`make_rig`], with bones in `body`; `model` has the skin.
+fn make_rig_in(body: &BodySurface<'_>, model: &Model, order: &RigOrder<'_>, exec: &Exec<'_>) -> Result<MadeRig, Error> {
     let own = own_skeleton(model)?;
     if let (Some((scene_rig, _)), None, None) = (&own, order.clip, order.preset) {
         return Ok(rig_of_own_skin(scene_rig));
@@ -169,6 +187,7 @@ pub fn make_rig(model: &Model, order: &RigOrder<'_>, exec: &Exec<'_>) -> Result<
             (&preset, ReferencePose::Frame(0))
         }
     };
+    check_landmarks(&order.landmarks)?;
     let mut warnings = Vec::new();
     let bones = match bones_of_names(skeleton) {
         Ok(bones) => bones,
@@ -224,7 +243,7 @@ pub fn make_rig(model: &Model, order: &RigOrder<'_>, exec: &Exec<'_>) -> Result<
         let names = outside.join(", ");
         let lie = if outside.len() == 1 { "lies" } else { "lie" };
         warnings.push(format!(
-            "{names} {lie} outside of the model; --at puts a joint elsewhere"
+            "{names} {lie} outside of the model; if that is wrong, give their places"
         ));
     }
     let unsure = made.joints.iter().filter(|joint| !joint.reason.is_empty());
@@ -247,6 +266,17 @@ pub fn make_rig(model: &Model, order: &RigOrder<'_>, exec: &Exec<'_>) -> Result<
         axes,
         warnings,
     })
+}
+
+fn check_landmarks(landmarks: &BTreeMap<&'static str, DVec3>) -> Result<(), Error> {
+    let most = MotionRig::FARTHEST;
+    match landmarks.iter().find(|(_, at)| at.abs().max_element() > most) {
+        Some((name, at)) => {
+            let problem = format!("is {at}, coordinates from -{most:e} to {most:e} are allowed");
+            Err(Error::invalid(format!("joints.{name}"), problem))
+        }
+        None => Ok(()),
+    }
 }
 
 /// The rig of a model's skin and its rest skeleton; `None` without a skin.

@@ -1,7 +1,7 @@
 //! From a request for a clip to an animation of a model: the clip and its rig, which frames are wanted, and what drives them.
 
 use crate::asset::{Model, MovingScene};
-use crate::engine::animation::made_rig::{MadeRig, RigOrder, left_out_primitives, left_out_warnings, make_rig};
+use crate::engine::animation::made_rig::{MadeRig, RigOrder, left_out_primitives, left_out_warnings};
 use crate::engine::animation::prepare::{Animation, AnimationLimits, ClipRequest, ClipSource, FootFacts, FrameTimes};
 use crate::engine::deformer::Deformer;
 use crate::engine::error::Error;
@@ -160,7 +160,7 @@ fn moving_clip(
             let rig = match rig {
                 Some(rig) => rig.clone(),
                 None => {
-                    let made = rig_for_clip(deformer.model(), &clip, exec)?;
+                    let made = rig_for_clip(deformer, &clip, exec)?;
                     warnings.extend(made.warnings);
                     made.rig
                 }
@@ -255,13 +255,15 @@ fn skin_problem(model: &Model) -> Option<RigError> {
 }
 
 /// The rig that `pliant rig` makes of a model for a recorded clip, where none is given.
-fn rig_for_clip(model: &Model, clip: &MotionClip, exec: &Exec<'_>) -> Result<MadeRig, Error> {
+fn rig_for_clip(deformer: &Deformer, clip: &MotionClip, exec: &Exec<'_>) -> Result<MadeRig, Error> {
     exec.progress.report("rig", 0.0);
     let order = RigOrder {
         clip: Some(clip),
         ..Default::default()
     };
-    let made = make_rig(model, &order, exec).and_then(|made| made.check().map(|()| made));
+    let made = deformer
+        .make_rig(&order, exec)
+        .and_then(|made| made.check().map(|()| made));
     made.map_err(|error| match error {
         Error::Invalid { .. } => Error::invalid("rig", format!("is missing, and pliant rig finds none: {error}")),
         other => other,

@@ -6,11 +6,10 @@ const SAID: readonly (readonly [pattern: RegExp, words: string])[] = [
     "; drop the model together with $FILE, or drop the folder that they are in",
   ],
   [
-    /; make a rig with `pliant rig`, and give joints with --at NAME=x,y,z .*$/s,
+    /; give `pliant rig` joints with --at NAME=x,y,z .*$/s,
     "; drop a rig (a JSON file that places its joints) together with the clip: “A rig for a model” in deploy/docs/animation.md has one",
   ],
   [/rig: is missing, and pliant rig finds none: model: /, "a rig is needed, and none can be made from this model: "],
-  [/; --at puts a joint elsewhere/, "; a rig file dropped with the clip puts a joint elsewhere"],
 ];
 
 /** The server's message without flags of the command line and parts of forms. */
