@@ -92,7 +92,8 @@ fn silently_lost(
     let mut lost = Vec::new();
     for (what, count) in before {
         let is_kept = after.get(what).is_some_and(|left| left >= count);
-        if !is_kept && !(is_converted && TAKEN.contains(&what.as_str())) && !named(what) {
+        let is_taken = is_converted && TAKEN.contains(&what.as_str());
+        if !(is_kept || is_taken || named(what)) {
             lost.push(format!("{what}: {count} to {}", after.get(what).copied().unwrap_or(0)));
         }
     }
