@@ -168,6 +168,11 @@ impl Deformer {
         let body = BodySurface::of(self.model(), self.rest(), self.geometry())?;
         make_rig_in(&body, self.model(), order, exec)
     }
+
+    /// The vertices of the rest shape that bones are found in.
+    pub(super) fn body_vertices(&self) -> Result<Cow<'_, [DVec3]>, Error> {
+        Ok(BodySurface::of(self.model(), self.rest(), self.geometry())?.positions)
+    }
 }
 
 /// [`make_rig`], with bones in `body`; `model` has the skin.

@@ -64,7 +64,7 @@ impl Animation {
         if !animation.driver.clip().name.is_empty() {
             animation.clip_name.clone_from(&animation.driver.clip().name);
         }
-        animation.feet = feet_of(&animation, &range, deformer.rest());
+        animation.feet = feet_of(&animation, &range, &deformer.body_vertices()?);
         animation.range = range;
         animation.counts_crossings = request.counts_crossings;
         animation.beside = moving.beside;
@@ -107,7 +107,7 @@ impl MovingClip {
         };
         let is_recording = matches!(request.clip, ClipSource::Bvh { .. });
         if request.plant_feet.unwrap_or(is_recording) {
-            let has_feet = driver.plant_feet(rig, deformer.rest(), start);
+            let has_feet = driver.plant_feet(rig, &deformer.body_vertices()?, start);
             if !has_feet && request.plant_feet == Some(true) {
                 let problem = match own {
                     Some(_) => "is true, but the clip is that of the model's own skin, which plays as it is",
