@@ -95,7 +95,7 @@ impl MadeRig {
             )
         });
         let problem = format!(
-            "joints are not sure{axes}; scores below {LEAST_SCORE}: {}; give `pliant rig` joints with --at \
+            "joints are not sure{axes}; scores below {LEAST_SCORE}: {}; in `pliant rig` give joints with --at \
              NAME=x,y,z or --landmarks FILE, or how the figure stands with --up and --front",
             lines.collect::<Vec<_>>().join("; ")
         );

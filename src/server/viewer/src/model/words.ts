@@ -6,7 +6,7 @@ const SAID: readonly (readonly [pattern: RegExp, words: string])[] = [
     "; drop the model together with $FILE, or drop the folder that they are in",
   ],
   [
-    /; give `pliant rig` joints with --at NAME=x,y,z .*$/s,
+    /; in `pliant rig` give joints with --at NAME=x,y,z .*$/s,
     "; drop a rig (a JSON file that places its joints) together with the clip: “A rig for a model” in deploy/docs/animation.md has one",
   ],
   [/rig: is missing, and pliant rig finds none: model: /, "a rig is needed, and none can be made from this model: "],
