@@ -18,7 +18,7 @@ use std::collections::BTreeMap;
 const LARGEST: u64 = 30_000;
 
 /// Extensions of how numbers are packed, which pliant writes as plain floats; and what other formats take of materials.
-const ANEW: [&str; 4] = [
+const PACKINGS: [&str; 4] = [
     "KHR_draco_mesh_compression",
     "EXT_meshopt_compression",
     "KHR_meshopt_compression",
@@ -63,7 +63,7 @@ fn contents(main: &[u8], companions: &BTreeMap<String, Vec<u8>>, format: Format)
         let used = used
             .iter()
             .filter_map(Value::as_str)
-            .filter(|name| !ANEW.contains(name));
+            .filter(|name| !PACKINGS.contains(name));
         found.extend(used.map(|name| (name.to_owned(), 1)));
     } else if format == Format::OBJ {
         found.insert("line".into(), lines_of("l "));

@@ -246,13 +246,13 @@ mod tests {
         ] {
             let place = parse_close_up(text).expect("allowed").place_in(&shape(&[]));
             assert_eq!(place.is_ok(), is_near, "{text}");
-            let told = |e| match e {
-                CliFailure::Input(told) => {
-                    told.contains("outside the model, which reaches from (0, 0, 0) to (1, 1, 0)")
+            let is_refused = |e| match e {
+                CliFailure::Input(message) => {
+                    message.contains("outside the model, which reaches from (0, 0, 0) to (1, 1, 0)")
                 }
                 _ => false,
             };
-            assert!(place.is_ok() || place.is_err_and(told), "{text}");
+            assert!(place.is_ok() || place.is_err_and(is_refused), "{text}");
         }
     }
 }

@@ -14,6 +14,8 @@ const MOST_POINTS: usize = 1 << 24;
 const LONGEST_NAME: usize = 256;
 /// How far a quaternion's length may be from 1.
 const UNIT: f64 = 0.01;
+/// How far it may be by rounding alone.
+const ROUNDED: f64 = 1e-12;
 
 /// What one call carries along with a session's shape. Made by [`carry_order`].
 #[derive(Debug, Clone)]
@@ -208,8 +210,10 @@ fn rest_rotations(values: &[f64], count: usize, field: &str) -> Result<Vec<DQuat
     quaternions
         .map(|(k, q)| {
             let length = q.length();
-            if (length - 1.0).abs() <= UNIT {
-                return Ok(q.normalize());
+            let from_unit = (length - 1.0).abs();
+            if from_unit <= UNIT {
+                // What an earlier answer gave is carried on with the same bits.
+                return Ok(if from_unit <= ROUNDED { q } else { q.normalize() });
             }
             let problem = format!("is of length {length}, a rotation is a unit quaternion [x, y, z, w]");
             Err(Error::invalid(format!("{field}[{}]", 4 * k), problem))

@@ -207,7 +207,7 @@ class Assembler:
             queue_ms=last.queue_ms,
             superseded=last.superseded,
             quality=last.quality if last.HasField("quality") else None,
-            found_turns={turn.id: tuple(turn.rotation_vector) for turn in last.found_turns},
+            found_turns={turn.id: (x, y, z) for turn in last.found_turns for x, y, z in [turn.rotation_vector]},
         )
 
 

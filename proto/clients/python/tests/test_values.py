@@ -255,6 +255,7 @@ EDITS = [
     ({"merge": {"session": "x", "transform": SIZE}}, {"merge": {"session": "x", "transform": SIZE.ravel()}}),
     ({"insert_curve": {"points": [(0, 0, 0), (1, 2, 3)]}}, {"insertCurve": {"points": [0, 0, 0, 1, 2, 3]}}),
     ({"weld": {"tolerance": 0.1}}, {"weld": {"tolerance": 0.1}}),
+    ({"clean": {"keep_largest": 1}}, {"clean": {"keepLargest": 1}}),
 ]
 
 

@@ -50,18 +50,17 @@ impl HandleSystem {
         if free.is_empty() || !self.moved_parts(body, &transforms).contains(&true) {
             return Ok((transforms, None));
         }
+        // A pose that is solved from nothing does not depend on what was solved before it.
+        let mut own = SolveState::default();
+        let state = if warm { state } else { &mut own };
+        state.turning.begin(&free);
         let rotations = |of: &[Transform]| -> Vec<DVec3> { free.iter().map(|&k| of[k].rotation).collect() };
         if warm && state.transforms.len() == transforms.len() {
-            state.turning.begin(&free);
             let turns = state.turning.begin_from(rotations(&state.transforms));
             free.iter()
                 .zip(turns)
                 .for_each(|(&k, turn)| transforms[k].rotation = turn);
         }
-        // A pose that is solved from nothing does not depend on what was solved before it.
-        let mut own = SolveState::default();
-        let state = if warm { state } else { &mut own };
-        state.turning.begin(&free);
         let (most, near) = match warm {
             true => (MOST_SOLVES_OF_DRAG, NEAR_ENOUGH_OF_DRAG),
             false => (MOST_SOLVES, NEAR_ENOUGH),

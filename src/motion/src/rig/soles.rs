@@ -47,13 +47,9 @@ pub(super) fn sole_points(rig: &MotionRig, leg: &Leg, rest: &[DVec3]) -> Vec<DVe
         let level = side * libm::cos(turn) + other * libm::sin(turn);
         let way = level * libm::cos(down) - up * libm::sin(down);
         let outermost = own.iter().max_by(|a, b| a.dot(way).total_cmp(&b.dot(way)));
-        found.extend(
-            outermost
-                .filter(|p| !found.contains(p))
-                .copied()
-                .into_iter()
-                .collect::<Vec<_>>(),
-        );
+        if let Some(p) = outermost.filter(|p| !found.contains(p)) {
+            found.push(*p);
+        }
     }
     found
 }

@@ -157,10 +157,10 @@ impl RunCall for HandleChange {
             }
         };
         // The shape stays, and so do the turns that it has.
-        for ((told, handle), pose) in facts.handles.iter_mut().zip(&set.handles).zip(poses.0.iter()) {
+        for ((own, handle), pose) in facts.handles.iter_mut().zip(&set.handles).zip(poses.0.iter()) {
             let old = state.facts.handles.iter().find(|old| old.id == handle.id);
             if let Some(old) = old.filter(|_| pose.free_rotation) {
-                told.found_turn.clone_from(&old.found_turn);
+                own.found_turn.clone_from(&old.found_turn);
             }
         }
         let commit = || LoggedCommit::Handles {

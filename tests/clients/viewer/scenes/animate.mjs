@@ -113,6 +113,9 @@ async function ownClip({ browser, url, server, log, folder }) {
   const feet = { id: "feet", region: { box: { min: [-9, -9, -9], max: [9, 0.2, 9] } } };
   await server.json("PUT", `/v1/sessions/${id}/handles`, { handles: [head, feet] });
   await server.floats("POST", `/v1/sessions/${id}/solve`, { pose: { handles: [{ id: "head", pose: { translation: [0.3, 0.1, 0] } }] } });
+  // The page looks at its session when it gets the focus, and what it learns would end an animation that is on.
+  await sheet.page.evaluate(() => dispatchEvent(new Event("focus")));
+  await sheet.until("the page has learnt of it", (state) => state.revision === "3" && !state.busy);
   await sheet.page.getByRole("button", { name: "Animate" }).click();
   await complete(sheet);
   assert.deepEqual(await frame(sheet, at), solved, "the same frames come");

@@ -187,7 +187,9 @@ class Session(Declared):
         """The triangles of the current shape that cross others: ``triangles`` that cross one that they do not cross in the
         rest shape, and ``at_rest``; at most `limit` in each list (0: 100,000), ``total`` says how many there are.
         """
-        return await self._calls.one("Crossings", pb.CrossingsRequest(session_id=self.id, limit=whole("limit", limit)))
+        request = pb.CrossingsRequest(session_id=self.id, limit=whole("limit", limit))
+        answer: pb.CrossingsResponse = await self._calls.one("Crossings", request)
+        return answer
 
     async def make_rig(
         self,
@@ -211,7 +213,8 @@ class Session(Declared):
             request.preset = text("preset", preset)
         for name, place in (joints or {}).items():
             request.joints[name].at.extend(array(f"joints[{name!r}]", place).astype(float).ravel())
-        return await self._calls.one("MakeRig", request)
+        answer: pb.MakeRigResponse = await self._calls.one("MakeRig", request)
+        return answer
 
     async def edit(
         self, *, on: Literal["current", "rest"] = "current", **operation: Unpack[edits.EditFields]

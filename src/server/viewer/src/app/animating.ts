@@ -180,7 +180,9 @@ async function receive(source: ClipSource, options: ClipOptions, into: Film): Pr
     s.fail(into.frames.length === 0 ? "The clip cannot be played" : "No more frames arrived", error);
     // Joints that are not sure are shown, to be put where they belong.
     const refused = error instanceof PliantError && error.code === "INVALID_ARGUMENT" && source.bvh !== undefined && source.rig === undefined;
-    if (refused && into.frames.length === 0) await showDoubts(source);
+    if (!refused || into.frames.length > 0) return;
+    takeSignDown();
+    void showDoubts(source);
   }
 }
 

@@ -80,10 +80,12 @@ export async function showRig(source: ClipSource): Promise<void> {
   if (shown !== undefined) show(shown);
 }
 
-/** Shows the joints that a recording was refused for, if there are any. */
+/** Shows the joints that a recording was refused for, if there are any; what the user has begun before they come goes on. */
 export async function showDoubts(source: ClipSource): Promise<void> {
+  const state = (): unknown[] => [s.doc, onScreen, s.tool, s.currentRevision, s.dragging, s.busy].map((part) => part.peek());
+  const before = state();
   const shown = await found(source, true);
-  if (shown?.joints.some(({ doubtful }) => doubtful) !== true) return;
+  if (shown?.joints.some(({ doubtful }) => doubtful) !== true || state().some((value, k) => value !== before[k])) return;
   show(shown);
   // What is shown says why, and the message would lie over the model's feet.
   s.dismissErrors();

@@ -15,7 +15,7 @@ export function RigBar(): JSX.Element | null {
   return (
     <div class="transport open animation rig" role="group" aria-label="Rig">
       <div class="row">
-        <span class="told" role="status">
+        <span class="reasons" role="status">
           {things(joints.length, "joint")}
           {own ? " of the rig file" : unsure ? `, ${doubtful.length} not sure` : ", all sure"}
           {given > 0 && `, ${given} put by hand`}
