@@ -138,12 +138,7 @@ impl Mesh {
         triangles: usize,
         exec: &Exec<'_>,
     ) -> Result<Vec<Crossing>, Cancelled> {
-        let welded = |positions: &[DVec3]| -> Vec<DVec3> {
-            let first = |s: u32| self.render_vertices_of(s).first().map(|&v| positions[v as usize]);
-            let count = self.positions.len() as u32;
-            (0..count).map(|s| first(s).unwrap_or_default()).collect()
-        };
-        let (now, before) = (welded(positions), rest.map(welded));
+        let (now, before) = (self.welded(positions), rest.map(|rest| self.welded(rest)));
         let found = crossing_triangles(&now, before.as_deref(), &self.triangles, exec)?;
         let mut of_model = vec![Crossing::None; triangles];
         for (&source, crossing) in self.source_triangle.iter().zip(found) {
@@ -259,7 +254,7 @@ impl<'a> BoxedTriangles<'a> {
 }
 
 /// Whether two triangles cross.
-fn do_cross(points: &[DVec3], f: [u32; 3], g: [u32; 3]) -> bool {
+pub(crate) fn do_cross(points: &[DVec3], f: [u32; 3], g: [u32; 3]) -> bool {
     let (mut shared, mut i, mut j) = (0, 0, 0);
     for (k, v) in f.iter().enumerate() {
         for (l, w) in g.iter().enumerate() {
@@ -289,7 +284,7 @@ fn is_beside(a: [DVec3; 3], b: [DVec3; 3]) -> bool {
 }
 
 /// Whether the segment from `p` to `q` passes through `t`, border included, with its ends strictly on both sides.
-fn passes(p: DVec3, q: DVec3, t: [DVec3; 3]) -> bool {
+pub(crate) fn passes(p: DVec3, q: DVec3, t: [DVec3; 3]) -> bool {
     let [a, b, c] = t;
     let (s, e) = (signed_volume(a, b, c, p), signed_volume(a, b, c, q));
     if !((s < 0.0 && e > 0.0) || (s > 0.0 && e < 0.0)) {
@@ -304,7 +299,7 @@ fn passes(p: DVec3, q: DVec3, t: [DVec3; 3]) -> bool {
 }
 
 /// Six times the signed volume of a tetrahedron.
-fn signed_volume(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
+pub(crate) fn signed_volume(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     (b - a).cross(c - a).dot(d - a)
 }
 

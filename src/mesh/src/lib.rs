@@ -8,6 +8,7 @@
 
 mod adjacency;
 pub mod carry;
+mod crossing_pairs;
 mod error;
 pub mod graph;
 mod inspect;
@@ -23,6 +24,7 @@ mod weld;
 mod welded_mesh;
 
 pub use adjacency::{Adjacency, BoundaryLoop, Components, Lists, MeshEdge, boundary_loops, sorted_set};
+pub use crossing_pairs::{CrossingPair, CrossingPairs, PairKind};
 pub use error::{Error, shown_count};
 pub use inspect::{MeshReport, MeshWarning, PartReport, inspect};
 pub use intersections::{

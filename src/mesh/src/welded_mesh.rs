@@ -159,6 +159,15 @@ impl Mesh {
         self.render_from_solver.of(solver)
     }
 
+    /// Of positions of render vertices those of the solver's vertices.
+    ///
+    /// # Panics
+    /// When there are fewer positions than the model has.
+    pub fn welded(&self, positions: &[DVec3]) -> Vec<DVec3> {
+        let of = |s: u32| positions[self.render_vertices_of(s)[0] as usize];
+        (0..self.positions.len() as u32).map(of).collect()
+    }
+
     /// All lists of render vertices, one row per solver vertex.
     pub fn render_from_solver(&self) -> &Lists {
         &self.render_from_solver

@@ -1,7 +1,7 @@
 //! Where a surface passes through itself: the checked request, and the answer.
 
 use super::{Error, pb};
-use pliant_mesh::Crossing;
+use pliant_mesh::{Crossing, CrossingPair, CrossingPairs, PairKind};
 
 /// Triangles that a list names where none is said, and at most.
 const USUAL: u32 = 100_000;
@@ -12,6 +12,8 @@ const MOST: u32 = 1_000_000;
 pub struct CrossingsOrder {
     /// The most triangles that each list of the answer may name.
     pub limit: usize,
+    /// Whether pairs are wanted.
+    pub pairs: bool,
 }
 
 /// Reads a request for crossings.
@@ -29,16 +31,19 @@ pub fn crossings_order(request: &pb::CrossingsRequest) -> Result<CrossingsOrder,
             ));
         }
     };
-    Ok(CrossingsOrder { limit: limit as usize })
+    Ok(CrossingsOrder {
+        limit: limit as usize,
+        pairs: request.pairs,
+    })
 }
 
 impl CrossingsOrder {
-    /// Writes what the triangles of a model cross; the caller adds the revision.
-    pub fn answer(&self, found: &[Crossing]) -> pb::CrossingsResponse {
+    /// Writes what the triangles of a model cross, and the pairs if they are wanted; the caller adds the revision.
+    pub fn answer(&self, found: &[Crossing], pairs: &CrossingPairs) -> pb::CrossingsResponse {
         let of = |kind: Crossing| {
             let all = (0u32..).zip(found).filter(move |(_, crossing)| **crossing == kind);
             let named: Vec<u32> = all.clone().take(self.limit).map(|(triangle, _)| triangle).collect();
-            (named, u32::try_from(all.count()).unwrap_or(u32::MAX))
+            (named, narrow(all.count() as u64))
         };
         let ((triangles, total), (at_rest, total_at_rest)) = (of(Crossing::New), of(Crossing::AtRest));
         pb::CrossingsResponse {
@@ -47,6 +52,31 @@ impl CrossingsOrder {
             total,
             at_rest,
             total_at_rest,
+            pairs: pairs.pairs.iter().map(pair_message).collect(),
+            new_pairs: narrow(pairs.new),
+            at_rest_pairs: narrow(pairs.at_rest),
+            held_pairs: narrow(pairs.held),
         }
+    }
+}
+
+fn narrow(count: u64) -> u32 {
+    u32::try_from(count).unwrap_or(u32::MAX)
+}
+
+fn pair_message(pair: &CrossingPair) -> pb::crossings_response::Pair {
+    use pb::crossings_response::pair::Kind;
+    let kind = match pair.kind {
+        PairKind::New => Kind::New,
+        PairKind::AtRest => Kind::AtRest,
+        PairKind::Held => Kind::Held,
+    };
+    let [first, second] = pair.triangles;
+    pb::crossings_response::Pair {
+        first,
+        second,
+        kind: kind.into(),
+        at: pair.at.to_array().to_vec(),
+        depth: pair.depth,
     }
 }

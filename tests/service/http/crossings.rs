@@ -82,7 +82,7 @@ async fn triangles_that_cross_are_named_up_to_a_limit() {
     let mut client = server.grpc().await;
     let request = pb::CrossingsRequest {
         session_id: id.clone(),
-        limit: 0,
+        ..Default::default()
     };
     let reply = client.crossings(request).await.expect("an answer").into_inner();
     assert_eq!(reply.triangles.iter().map(|t| u64::from(*t)).collect::<Vec<_>>(), named);
@@ -98,6 +98,8 @@ async fn triangles_that_cross_are_named_up_to_a_limit() {
     let rest = crossings(&server, &both, json!({})).await;
     assert_eq!(rest["total"].as_u64().unwrap_or_default(), 0);
 
+    assert_eq!(all.get("pairs"), None, "nobody asked");
+
     let refused = post(
         &server,
         &format!("/v1/sessions/{id}/crossings"),
@@ -107,4 +109,43 @@ async fn triangles_that_cross_are_named_up_to_a_limit() {
     assert_eq!(refused.status(), 422);
     let problem: Value = refused.json().await.expect("JSON");
     assert_eq!(problem["errors"][0]["field"], "limit", "{problem}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn pairs_say_where_they_cross_how_deep_and_whether_handles_hold_them() {
+    let server = Server::start().await;
+    let id = dragged(&server, 2.0, -1.5).await;
+    let found = crossings(&server, &id, json!({"pairs": true})).await;
+    let pairs = found["pairs"].as_array().expect("pairs");
+    let named = triangles(&found["triangles"]);
+    let of_pairs = pairs
+        .iter()
+        .flat_map(|pair| ["first", "second"].map(|side| pair[side].as_u64().unwrap_or_default()));
+    let mut of_pairs: Vec<u64> = of_pairs.collect();
+    of_pairs.sort_unstable();
+    of_pairs.dedup();
+    assert_eq!(of_pairs, named, "the same triangles");
+    // Both boxes are handles, so that nothing but their poses parts them.
+    assert_eq!(found["heldPairs"], pairs.len(), "{found}");
+    assert_eq!(found["newPairs"].as_u64().unwrap_or_default(), 0);
+    for pair in pairs {
+        assert_eq!(pair["kind"], "HELD");
+        let depth = pair["depth"].as_f64().unwrap_or_default();
+        assert!(depth > 0.0 && depth < 1.0, "{pair}");
+        // The boxes share 0.5 to 1 along x.
+        let x = pair["at"][0].as_f64().expect("a place");
+        assert!((0.5..=1.0).contains(&x), "{pair}");
+    }
+    let one = crossings(&server, &id, json!({"pairs": true, "limit": 1})).await;
+    assert_eq!(one["pairs"].as_array().map(Vec::as_slice), Some(&pairs[..1]));
+    assert_eq!(one["heldPairs"], pairs.len());
+
+    let both = dragged(&server, 0.5, 0.2).await;
+    let still = crossings(&server, &both, json!({"pairs": true})).await;
+    assert!(still["atRestPairs"].as_u64() > Some(0), "{still}");
+    assert!(
+        still["pairs"]
+            .as_array()
+            .is_some_and(|all| all.iter().any(|pair| pair["kind"] == "AT_REST"))
+    );
 }

@@ -239,9 +239,12 @@ export class Session {
     return answer.model;
   }
 
-  /** The triangles of the current shape that cross others, at most `limit` in each list (0: 100,000). Nothing changes. */
-  crossings(limit = 0, call: CallOptions = {}): Promise<CrossingsResponse> {
-    const json = jsonOf(CrossingsRequestSchema, { limit });
+  /**
+   * The triangles of the current shape that cross others, at most `limit` in each list (0: 100,000), and with `pairs` which two
+   * cross, where and how deep. Nothing changes.
+   */
+  crossings(asked: { limit?: number; pairs?: boolean } = {}, call: CallOptions = {}): Promise<CrossingsResponse> {
+    const json = jsonOf(CrossingsRequestSchema, asked);
     return this.transport.message(CrossingsResponseSchema, "POST", this.path("/crossings"), { ...call, json });
   }
 

@@ -21,7 +21,11 @@ impl Deformer {
         }
         let surface = Arc::clone(self.derived.carry_surface(exec.pool));
         exec.check()?;
-        Ok(SurfaceCarrier::of_surface(surface, &self.welded(positions), exec.pool))
+        Ok(SurfaceCarrier::of_surface(
+            surface,
+            &self.mesh().welded(positions),
+            exec.pool,
+        ))
     }
 
     /// Carries points of the rest space along with a shape of this model, in order.

@@ -18,7 +18,7 @@ use crate::engine::settings::{DeformerLimits, OpenOptions};
 use crate::engine::shape::{ModelShape, ShapeId, TopologyId};
 use crate::engine::stiff::{farthest_off_rigid, find_hard_parts};
 use crate::exec::Exec;
-use crate::mesh::{Crossing, Mesh, MeshReport, self_intersections};
+use crate::mesh::{Crossing, CrossingPairs, Mesh, MeshReport, self_intersections};
 use crate::pool::Pool;
 use crate::reference::SpatialRbf;
 use glam::DVec3;
@@ -461,7 +461,7 @@ impl Deformer {
 
     /// How far a shape (one position per render vertex) is from the rest shape.
     pub fn quality(&self, positions: &[DVec3], pool: &Pool) -> QualityReport {
-        measure_quality(self.mesh(), self.report().closed, &self.welded(positions), pool)
+        measure_quality(self.mesh(), self.report().closed, &self.mesh().welded(positions), pool)
     }
 
     /// Largest distance of a vertex that a hard handle holds from where `poses` put it, as a fraction of the bounding box's
@@ -484,7 +484,7 @@ impl Deformer {
     /// # Errors
     /// [`Error::Cancelled`] when `progress` says so.
     pub fn measure(&self, positions: &[DVec3], count_crossings: bool, exec: &Exec<'_>) -> Result<QualityReport, Error> {
-        let deformed = self.welded(positions);
+        let deformed = self.mesh().welded(positions);
         let mut found = measure_quality(self.mesh(), self.report().closed, &deformed, exec.pool);
         if let Some(system) = &self.handle_system {
             found.off_rigid = farthest_off_rigid(system, self.body(), |vertex| deformed[vertex]);
@@ -496,7 +496,6 @@ impl Deformer {
         Ok(found)
     }
 
-    /// Of positions of render vertices those of the solver's vertices.
     /// What each of the model's triangles crosses in a shape (one position per render vertex); pairs that cross in the rest shape too
     /// are not new.
     ///
@@ -507,8 +506,17 @@ impl Deformer {
         Ok((self.mesh()).crossing_triangles(positions, Some(self.rest()), triangles, exec)?)
     }
 
-    pub(super) fn welded(&self, positions: &[DVec3]) -> Vec<DVec3> {
-        self.derived.welded(positions)
+    /// The pairs of triangles that cross in a shape (one position per render vertex), at most `most` of them. What the present handles
+    /// hold hard is held.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`] when `progress` says so.
+    pub fn crossing_pairs(&self, positions: &[DVec3], most: usize, exec: &Exec<'_>) -> Result<CrossingPairs, Error> {
+        let given = self.handle_system.as_ref().map_or(&[][..], |system| system.given());
+        let is_held = |v: u32| given.get(v as usize).is_some_and(|held| *held);
+        Ok(self
+            .mesh()
+            .crossing_pairs(positions, self.rest(), &is_held, most, exec)?)
     }
 }
 

@@ -254,12 +254,6 @@ impl DerivedStructures {
         &self.lineage.topology
     }
 
-    /// Of positions of render vertices those of the mesh's.
-    pub fn welded(&self, positions: &[DVec3]) -> Vec<DVec3> {
-        let of = |s: u32| positions[self.mesh.render_vertices_of(s)[0] as usize];
-        (0..self.mesh.positions.len() as u32).map(of).collect()
-    }
-
     /// Whether graph and hierarchy have followed an edit, and were not built from nothing.
     pub fn is_followed(&self) -> bool {
         matches!(self.lineage.past, LineageOrigin::Edited(_))

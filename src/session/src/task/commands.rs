@@ -23,6 +23,7 @@ use pliant_core::engine;
 use pliant_core::engine::{Animation, ClipSource, Deformer, ModelShape, RigOrder, TopologyState, left_out_of_rig};
 use pliant_exec::Exec;
 use pliant_exec::progress::Progress as _;
+use pliant_mesh::CrossingPairs;
 use pliant_motion::bvh::read_bvh;
 use pliant_wire::record::LoggedCommit;
 use pliant_wire::{
@@ -275,13 +276,27 @@ impl RunCall for CrossingsOrder {
         let state = task.history.current();
         let (positions, topology) = (Arc::clone(&view.positions), state.topology.clone());
         let lane = lane_of_work(state.triangles() <= FEW_TRIANGLES);
+        let (handles, triangles) = (Arc::clone(&state.handles), state.triangles());
         let limit = task.shared.config.build;
+        if self.pairs {
+            let most = (u64::from(triangles).pow(2) / 2).min(self.limit as u64);
+            reserve_more(task, most * BYTES_PER_PAIR, "listing the pairs")?;
+        }
         let (found, watch) = task
             .compute(origin.order(WorkKind::Crossings, lane, limit), move |deformer, work| {
                 let exec = work.exec();
-                deformer.go_to_topology(topology.as_ref(), &exec)?;
-                let found = (deformer.deformer("looking for crossings")?).crossing_triangles(&positions, &exec)?;
-                Ok::<_, engine::Error>(self.answer(&found))
+                // Handles say what is held; triangles alone need none.
+                match self.pairs {
+                    true => deformer.load_state(topology.as_ref(), &handles, &exec)?,
+                    false => deformer.go_to_topology(topology.as_ref(), &exec)?,
+                }
+                let deformer = deformer.deformer("looking for crossings")?;
+                let found = deformer.crossing_triangles(&positions, &exec)?;
+                let pairs = match self.pairs {
+                    true => deformer.crossing_pairs(&positions, self.limit, &exec)?,
+                    false => CrossingPairs::default(),
+                };
+                Ok::<_, engine::Error>(self.answer(&found, &pairs))
             })
             .await?;
         Ok(pb::CrossingsResponse {
@@ -466,15 +481,26 @@ impl RunCall for SessionEdit {
     }
 }
 
+/// Bytes of memory for each pair of triangles that is listed, its part of the answer included.
+const BYTES_PER_PAIR: u64 = 256;
+
 /// Bytes of memory for each byte of a clip while it is read: a number of two digits is a number, and becomes part of a rotation.
 const BYTES_PER_CLIP_BYTE: u64 = 16;
 
 /// Takes the memory in which a clip of so many bytes is read.
 fn reserve_for_clip(task: &mut SessionTask, bytes: usize) -> Result<(), Error> {
-    let needed = (bytes as u64).saturating_mul(BYTES_PER_CLIP_BYTE);
+    reserve_more(
+        task,
+        (bytes as u64).saturating_mul(BYTES_PER_CLIP_BYTE),
+        "reading the clip",
+    )
+}
+
+/// Reserves memory for `what` until the call is over.
+fn reserve_more(task: &mut SessionTask, needed: u64, what: &str) -> Result<(), Error> {
     let reserved = task.memory.grow_to(task.memory.bytes().saturating_add(needed));
     reserved.map_err(|shortage| {
-        let text = format!("reading the clip would need {needed} bytes of memory, and {shortage}");
+        let text = format!("{what} would need {needed} bytes of memory, and {shortage}");
         count_refusal(&task.shared, no_place(text))
     })
 }

@@ -183,11 +183,13 @@ class Session(Declared):
         request = model_request(self.id, model, format)
         return bytes((await self._calls.one("Carry", request)).model)
 
-    async def crossings(self, limit: int = 0) -> pb.CrossingsResponse:
+    async def crossings(self, limit: int = 0, *, pairs: bool = False) -> pb.CrossingsResponse:
         """The triangles of the current shape that cross others: ``triangles`` that cross one that they do not cross in the
         rest shape, and ``at_rest``; at most `limit` in each list (0: 100,000), ``total`` says how many there are.
+
+        With `pairs` also which two cross, where, how deep, and whether handles hold both.
         """
-        request = pb.CrossingsRequest(session_id=self.id, limit=whole("limit", limit))
+        request = pb.CrossingsRequest(session_id=self.id, limit=whole("limit", limit), pairs=pairs)
         answer: pb.CrossingsResponse = await self._calls.one("Crossings", request)
         return answer
 

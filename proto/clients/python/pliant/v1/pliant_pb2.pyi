@@ -1283,26 +1283,57 @@ class CarryResponse(_message.Message):
     def __init__(self, revision: _Optional[int] = ..., points: _Optional[_Iterable[float]] = ..., rotations: _Optional[_Iterable[float]] = ..., scales: _Optional[_Iterable[float]] = ..., model: _Optional[bytes] = ...) -> None: ...
 
 class CrossingsRequest(_message.Message):
-    __slots__ = ("session_id", "limit")
+    __slots__ = ("session_id", "limit", "pairs")
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     LIMIT_FIELD_NUMBER: _ClassVar[int]
+    PAIRS_FIELD_NUMBER: _ClassVar[int]
     session_id: str
     limit: int
-    def __init__(self, session_id: _Optional[str] = ..., limit: _Optional[int] = ...) -> None: ...
+    pairs: bool
+    def __init__(self, session_id: _Optional[str] = ..., limit: _Optional[int] = ..., pairs: bool = ...) -> None: ...
 
 class CrossingsResponse(_message.Message):
-    __slots__ = ("revision", "triangles", "total", "at_rest", "total_at_rest")
+    __slots__ = ("revision", "triangles", "total", "at_rest", "total_at_rest", "pairs", "new_pairs", "at_rest_pairs", "held_pairs")
+    class Pair(_message.Message):
+        __slots__ = ("first", "second", "kind", "at", "depth")
+        class Kind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+            __slots__ = ()
+            NEW: _ClassVar[CrossingsResponse.Pair.Kind]
+            AT_REST: _ClassVar[CrossingsResponse.Pair.Kind]
+            HELD: _ClassVar[CrossingsResponse.Pair.Kind]
+        NEW: CrossingsResponse.Pair.Kind
+        AT_REST: CrossingsResponse.Pair.Kind
+        HELD: CrossingsResponse.Pair.Kind
+        FIRST_FIELD_NUMBER: _ClassVar[int]
+        SECOND_FIELD_NUMBER: _ClassVar[int]
+        KIND_FIELD_NUMBER: _ClassVar[int]
+        AT_FIELD_NUMBER: _ClassVar[int]
+        DEPTH_FIELD_NUMBER: _ClassVar[int]
+        first: int
+        second: int
+        kind: CrossingsResponse.Pair.Kind
+        at: _containers.RepeatedScalarFieldContainer[float]
+        depth: float
+        def __init__(self, first: _Optional[int] = ..., second: _Optional[int] = ..., kind: _Optional[_Union[CrossingsResponse.Pair.Kind, str]] = ..., at: _Optional[_Iterable[float]] = ..., depth: _Optional[float] = ...) -> None: ...
     REVISION_FIELD_NUMBER: _ClassVar[int]
     TRIANGLES_FIELD_NUMBER: _ClassVar[int]
     TOTAL_FIELD_NUMBER: _ClassVar[int]
     AT_REST_FIELD_NUMBER: _ClassVar[int]
     TOTAL_AT_REST_FIELD_NUMBER: _ClassVar[int]
+    PAIRS_FIELD_NUMBER: _ClassVar[int]
+    NEW_PAIRS_FIELD_NUMBER: _ClassVar[int]
+    AT_REST_PAIRS_FIELD_NUMBER: _ClassVar[int]
+    HELD_PAIRS_FIELD_NUMBER: _ClassVar[int]
     revision: int
     triangles: _containers.RepeatedScalarFieldContainer[int]
     total: int
     at_rest: _containers.RepeatedScalarFieldContainer[int]
     total_at_rest: int
-    def __init__(self, revision: _Optional[int] = ..., triangles: _Optional[_Iterable[int]] = ..., total: _Optional[int] = ..., at_rest: _Optional[_Iterable[int]] = ..., total_at_rest: _Optional[int] = ...) -> None: ...
+    pairs: _containers.RepeatedCompositeFieldContainer[CrossingsResponse.Pair]
+    new_pairs: int
+    at_rest_pairs: int
+    held_pairs: int
+    def __init__(self, revision: _Optional[int] = ..., triangles: _Optional[_Iterable[int]] = ..., total: _Optional[int] = ..., at_rest: _Optional[_Iterable[int]] = ..., total_at_rest: _Optional[int] = ..., pairs: _Optional[_Iterable[_Union[CrossingsResponse.Pair, _Mapping]]] = ..., new_pairs: _Optional[int] = ..., at_rest_pairs: _Optional[int] = ..., held_pairs: _Optional[int] = ...) -> None: ...
 
 class MakeRigRequest(_message.Message):
     __slots__ = ("session_id", "bvh", "preset", "joints", "up", "front")

@@ -359,7 +359,7 @@ impl Animation {
     /// How far a frame's positions, one per render vertex, are from the rest shape.
     pub fn quality(&self, positions: &[DVec3], pool: &Pool) -> QualityReport {
         let derived = &self.derived;
-        let deformed = derived.welded(positions);
+        let deformed = derived.mesh.welded(positions);
         measure_quality(&derived.mesh, derived.report().closed, &deformed, pool)
     }
 
