@@ -26,7 +26,7 @@ use pliant_exec::progress::Progress as _;
 use pliant_motion::bvh::read_bvh;
 use pliant_wire::record::LoggedCommit;
 use pliant_wire::{
-    CarryOrder, CrossingsOrder, DeformOptions, MakeRigOrder, PoseCommit, SessionEdit, made_rig_message, pb,
+    CarryOrder, CrossingsOrder, DeformOptions, MakeRigOrder, PoseCommit, SessionEdit, made_rig_message, origin_of, pb,
 };
 use std::sync::Arc;
 use std::time::Instant;
@@ -198,6 +198,7 @@ impl RunCall for PoseCommit {
                     revision,
                     topology: state.topology.as_ref().map(TopologyState::id),
                     diagonal: state.diagonal,
+                    origin: origin_of(&state.facts),
                     queued: work.queued,
                     part_bytes,
                 };
@@ -485,6 +486,7 @@ impl RunCall for PrepareAnimation {
         let Self { order, outbox } = self;
         let revision = task.history.revision();
         let topology = task.history.current().topology.clone();
+        let relative_to = origin_of(&task.history.current().facts);
         let limits = task.shared.config.animation_limits();
         if let ClipSource::Bvh { bytes, .. } = &order.request.clip {
             reserve_for_clip(task, bytes.len())?;
@@ -515,6 +517,7 @@ impl RunCall for PrepareAnimation {
             animation,
             shader,
             revision,
+            origin: relative_to,
             build_ms: watch.take_stage_ms(),
         })
     }
