@@ -4,6 +4,7 @@ mod carry;
 mod connections;
 mod crossings;
 mod ledger;
+mod map_coordinates;
 mod operators;
 mod problems;
 mod rig;

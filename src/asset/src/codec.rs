@@ -13,6 +13,7 @@ use super::neutral::{NeutralModel, RunAttributes, RunPart};
 use super::vertex_attributes::AttributeKeys;
 use super::{Error, FileSet, FollowedCounts, Format, Geometry, Model, ModelNode, ShapeFollowers, WrittenFiles};
 use glam::DVec3;
+use pliant_mesh::BoundingBox;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
@@ -73,9 +74,10 @@ pub(super) trait FormatCodec: Sync {
         Ok(Vec::new())
     }
 
-    /// Whether positions are rounded to single precision in this format.
-    fn rounds_to_single(&self) -> bool {
-        false
+    /// What positions within `bounds` are relative to in this format where they are single precision there; `None` where they are doubles.
+    fn single_origin(&self, bounds: &BoundingBox) -> Option<DVec3> {
+        let _ = bounds;
+        None
     }
 
     /// Whether files built in this format hold more of a model than its geometry.

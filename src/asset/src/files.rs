@@ -1,8 +1,10 @@
 //! The files that make a model, as they came and as they go.
 
-use super::{Error, FollowedCounts};
+use super::{Error, FollowedCounts, Format};
 use bytes::Bytes;
+use glam::DVec3;
 use pliant_exec::progress::{self, Progress};
+use pliant_mesh::BoundingBox;
 use std::collections::BTreeMap;
 use std::ops::Deref;
 use std::sync::Arc;
@@ -261,7 +263,7 @@ pub struct WrittenFiles {
 /// Something of a model that a written file does not hold, or that may not fit what it holds.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct WrittenWarning {
-    /// A word for programs: `left-out`, `extension-kept`, `extension-dropped`.
+    /// A word for programs: `left-out`, `extension-kept`, `extension-dropped`, `places-rounded`.
     pub code: &'static str,
     /// What it is, in a sentence.
     pub message: String,
@@ -276,6 +278,20 @@ impl WrittenWarning {
             message: message.into(),
             place: place.into(),
         }
+    }
+
+    /// Of places that a file of `format` holds as 32-bit numbers far from the origin, and by how much they are rounded there; `None`
+    /// where they lose nothing, or next to nothing.
+    pub(super) fn rounded(positions: &[DVec3], format: Format) -> Option<Self> {
+        let bounds = BoundingBox::of(positions);
+        let off = |p: &DVec3| (p.as_vec3().as_dvec3() - *p).abs().max_element();
+        let most = positions.iter().map(off).fold(0.0, f64::max);
+        let far = bounds.min.abs().max(bounds.max.abs()).max_element();
+        let message = format!(
+            "numbers of the {format} have seven digits: at coordinates of {far:.3e} places are up to {most:.1e} off; obj, ply and off keep \
+             places as they are"
+        );
+        (bounds.is_far() && most > 0.0).then(|| Self::new("places-rounded", message, ""))
     }
 
     /// Of things that a file of `format` does not hold, each with its number; `None` where there are none.

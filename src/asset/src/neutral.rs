@@ -14,6 +14,8 @@ use std::sync::Arc;
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct NeutralModel {
     pub geometry: Geometry,
+    /// What rest positions of the model that it comes from are relative to where they become single precision.
+    pub origin: DVec3,
     /// For each primitive of the geometry what else it has.
     pub attributes: Vec<PrimitiveAttributes>,
     /// One per vertex, or empty when no primitive has any.

@@ -12,6 +12,7 @@ use super::{
 };
 use glam::{DAffine3, DVec3};
 use pliant_exec::progress::{Progress, Silent};
+use pliant_mesh::BoundingBox;
 use std::sync::OnceLock;
 
 impl Model {
@@ -407,9 +408,11 @@ fn faces_of_run(edited: &EditedModel<'_>, run: &PrimitiveRun) -> Option<RunFaces
 
 /// The neutral form of an edited model, for files of `format`.
 fn neutral_edited_model(edited: &EditedModel<'_>, positions: &[DVec3], format: Format) -> Result<NeutralModel, Error> {
-    let name = edited.bases.first().map_or("", |base| &base.model.files.name);
+    let first = edited.bases.first().map(|base| base.model);
+    let at_rest = first.map(|model| BoundingBox::of(&model.geometry.positions).origin());
     let mut neutral = NeutralModel {
-        stem: file_stem(name),
+        stem: file_stem(first.map_or("", |model| &model.files.name)),
+        origin: at_rest.unwrap_or_default(),
         ..NeutralModel::default()
     };
     for base in 0..edited.bases.len() as u32 {
@@ -499,12 +502,13 @@ fn add_base(
 /// Rejects a model whose every triangle collapses in the format's positions. One remaining triangle makes a model that
 /// opens. A model that had no triangle before is not rejected here.
 pub(super) fn check_precision(format: Format, positions: &[DVec3], triangles: &[[u32; 3]]) -> Result<(), Error> {
-    if !codec_of(format).rounds_to_single() || triangles.is_empty() {
+    let origin = codec_of(format).single_origin(&BoundingBox::of(positions));
+    let Some(origin) = origin.filter(|_| !triangles.is_empty()) else {
         return Ok(());
-    }
+    };
     let corners = |t: &[u32; 3]| t.map(|v| positions[v as usize]);
     let is_apart = |[a, b, c]: [DVec3; 3]| a != b && b != c && c != a;
-    let rounded = |p: DVec3| p.as_vec3().as_dvec3();
+    let rounded = |p: DVec3| (p - origin).as_vec3().as_dvec3();
     let mut was_apart = triangles.iter().filter(|t| is_apart(corners(t))).peekable();
     if was_apart.peek().is_none() || was_apart.any(|t| is_apart(corners(t).map(rounded))) {
         return Ok(());

@@ -42,6 +42,8 @@ pub struct BodyOptions {
     pub apart: bool,
     /// How parts that touch are tied to each other; `None` leaves them to themselves.
     pub ties: Option<TieOptions>,
+    /// Whether a mesh [far from the origin](BoundingBox::is_far) gets the graph that it has near the origin.
+    pub near_origin: bool,
 }
 
 /// The graph of a mesh, its hierarchy, and the rest pose in the coordinates that solving uses.
@@ -72,6 +74,19 @@ impl DeformableBody {
     /// [`Error::NoInside`] in mode [`VolumeMode::Required`]; [`Error::Graph`] for senseless options, and in that mode when
     /// the graph would be too large; [`Error::Cancelled`].
     pub fn build(mesh: &Mesh, options: &BodyOptions, exec: &Exec<'_>) -> Result<Self, Error> {
+        let bounds = mesh.bounds();
+        if !(options.near_origin && bounds.is_far()) {
+            return Self::build_here(mesh, options, exec);
+        }
+        let mut near = mesh.clone();
+        near.positions = bounds.near_origin(&mesh.positions);
+        let mut body = Self::build_here(&near, options, exec)?;
+        body.graph.move_nodes(&mesh.positions, bounds.center());
+        body.origin += bounds.center();
+        Ok(body)
+    }
+
+    fn build_here(mesh: &Mesh, options: &BodyOptions, exec: &Exec<'_>) -> Result<Self, Error> {
         exec.progress.report("graph", 0.0);
         let built = match options.volume {
             VolumeMode::Off => Ok(None),

@@ -167,9 +167,10 @@ impl<'a> FreeSurface<'a> {
         let Mesh {
             positions, triangles, ..
         } = self.mesh;
+        let origin = self.mesh.bounds().origin();
         let found = Mutex::new(Vec::new());
         let keep_new = |pair| {
-            if !is_crossing(positions, triangles, pair) {
+            if !is_crossing(positions, origin, triangles, pair) {
                 found.lock().unwrap_or_else(PoisonError::into_inner).push(pair);
             }
         };

@@ -1,7 +1,8 @@
 //! Where a surface passes through itself: pairs of triangles that cross.
 //!
-//! Positions are rounded to 32 bits first, which is what frames and most formats carry; differences of such numbers
-//! and the signs of the volumes made of them are then taken in 64 bits. Touching is not crossing.
+//! Positions are rounded to 32 bits first, which is what frames and most formats carry, far from the origin relative to
+//! [`BoundingBox::origin`]; differences of such numbers and the signs of the volumes made of them are then taken in 64 bits. Touching is
+//! not crossing.
 
 use crate::Mesh;
 use crate::measure::BoundingBox;
@@ -61,7 +62,7 @@ pub fn count_crossings(
     triangles: &[[u32; 3]],
     exec: &Exec<'_>,
 ) -> Result<CrossingCount, Cancelled> {
-    let rest: Vec<DVec3> = rest.iter().map(|p| p.as_vec3().as_dvec3()).collect();
+    let rest = rounded(rest);
     let (all, new) = (AtomicU64::new(0), AtomicU64::new(0));
     let count_one = |pair: [u32; 2]| {
         all.fetch_add(1, Ordering::Relaxed);
@@ -101,7 +102,7 @@ pub fn crossing_triangles(
     triangles: &[[u32; 3]],
     exec: &Exec<'_>,
 ) -> Result<Vec<Crossing>, Cancelled> {
-    let rest: Option<Vec<DVec3>> = rest.map(|rest| rest.iter().map(|p| p.as_vec3().as_dvec3()).collect());
+    let rest = rest.map(rounded);
     let found: Vec<AtomicU8> = triangles.iter().map(|_| AtomicU8::new(0)).collect();
     let note = |pair: [u32; 2]| {
         let is_old = rest.as_ref().is_some_and(|rest| {
@@ -167,7 +168,7 @@ pub fn visit_crossings(
     let asked = |t: u32| is_asked.is_none_or(|is_asked| is_asked[t as usize]);
     let all = || (0..triangles.len() as u32).into_par_iter();
     exec.pool.install(|| {
-        let points: Vec<DVec3> = positions.par_iter().map(|p| p.as_vec3().as_dvec3()).collect();
+        let points = rounded(positions);
         let box_of = |t: u32| BoundingBox::of(&triangles[t as usize].map(|v| points[v as usize]));
         let joined = |a: BoundingBox, b: BoundingBox| BoundingBox {
             min: a.min.min(b.min),
@@ -211,9 +212,16 @@ pub fn visit_crossings(
     })
 }
 
-/// Whether two triangles cross, in the sense of [`self_intersections`].
-pub fn is_crossing(positions: &[DVec3], triangles: &[[u32; 3]], [f, g]: [u32; 2]) -> bool {
-    let rounded = |v: u32| positions[v as usize].as_vec3().as_dvec3();
+/// All places as tests take them.
+fn rounded(positions: &[DVec3]) -> Vec<DVec3> {
+    let origin = BoundingBox::of(positions).origin();
+    let all = positions.par_iter().map(|p| (*p - origin).as_vec3().as_dvec3());
+    all.collect()
+}
+
+/// Whether two triangles cross, in the sense of [`self_intersections`]. `origin` is that of the box of all positions.
+pub fn is_crossing(positions: &[DVec3], origin: DVec3, triangles: &[[u32; 3]], [f, g]: [u32; 2]) -> bool {
+    let rounded = |v: u32| (positions[v as usize] - origin).as_vec3().as_dvec3();
     let corners = [f, g].map(|t| triangles[t as usize]);
     let points = corners.map(|t| t.map(rounded));
     let all = points.concat();

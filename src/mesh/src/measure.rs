@@ -14,6 +14,12 @@ pub struct BoundingBox {
     pub max: DVec3,
 }
 
+/// A box whose largest coordinate is more than so many of its diagonals is far from the origin: single precision rounds its places by
+/// up to 2⁻²⁰ of the diagonal there, and by more beyond.
+const FAR: f64 = 16.0;
+/// Places of such a box that are moved to the origin are multiples of so many times the rounding of its largest coordinate.
+const GRID: f64 = 64.0;
+
 impl BoundingBox {
     /// The smallest box around `points`; the origin when there are none.
     pub fn of(points: &[DVec3]) -> Self {
@@ -42,6 +48,50 @@ impl BoundingBox {
     /// Length of its diagonal.
     pub fn diagonal(&self) -> f64 {
         self.size().length()
+    }
+
+    /// Whether it lies so far from the origin, for its size, that single precision rounds its places by more than a millionth of its
+    /// diagonal: where its largest coordinate is more than 16 diagonals. Map coordinates are, and models in their own coordinates are not.
+    pub fn is_far(&self) -> bool {
+        let diagonal = self.diagonal();
+        diagonal > 0.0 && self.min.abs().max(self.max.abs()).max_element() > FAR * diagonal
+    }
+
+    /// What its places are relative to where they become single precision: zero, or the middle of a box that [is far](Self::is_far).
+    /// Its own numbers are single precision, so that every reader has the same.
+    pub fn origin(&self) -> DVec3 {
+        let middle = self.center().as_vec3();
+        if self.is_far() && middle.is_finite() {
+            middle.as_dvec3()
+        } else {
+            DVec3::ZERO
+        }
+    }
+
+    /// [`BoundingBox::origin`], or `known` where that serves as well: a shape that moves keeps the one that it had in the rest pose.
+    pub fn origin_like(&self, known: DVec3) -> DVec3 {
+        let relative = Self {
+            min: self.min - known,
+            max: self.max - known,
+        };
+        match self.is_far() && !relative.is_far() {
+            true => known,
+            false => self.origin(),
+        }
+    }
+
+    /// Places in the box relative to its middle, as they were before something moved them far from the origin, as far as that can be
+    /// known: without what their numbers were rounded by there. A symmetric shape is symmetric again, and decisions between equal
+    /// lengths are those of the same shape near the origin.
+    pub fn near_origin(&self, positions: &[DVec3]) -> Vec<DVec3> {
+        let largest = self.min.abs().max(self.max.abs()).max_element();
+        let grid = libm::exp2(libm::floor(libm::log2(largest))) * f64::EPSILON * GRID;
+        let middle = self.center();
+        let relative = positions.iter().map(|p| *p - middle);
+        match grid > 0.0 && grid.is_finite() {
+            true => relative.map(|p| (p / grid).round() * grid).collect(),
+            false => relative.collect(),
+        }
     }
 
     /// Whether it overlaps or touches another box.

@@ -146,6 +146,7 @@ fn cors(config: &ServerConfig) -> CorsLayer {
         "x-pliant-revision",
         "x-pliant-digest",
         "x-pliant-vertices",
+        "x-pliant-origin",
         "x-pliant-residual",
         "x-pliant-max-error",
         "x-pliant-solve-ms",

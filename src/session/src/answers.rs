@@ -2,6 +2,7 @@
 
 use crate::error::Error;
 use bytes::Bytes;
+use glam::DVec3;
 use pliant_asset::{Format, WrittenFiles};
 use pliant_wire::frames::Frame;
 use pliant_wire::{AnimationSummary, pb};
@@ -129,6 +130,8 @@ pub struct ExportedModel {
 pub struct PositionBuffer {
     /// Little-endian 32-bit floats, x, y, z per render vertex.
     pub bytes: Bytes,
+    /// What they are relative to; zero but for models far from the origin.
+    pub origin: DVec3,
     /// Strong entity tag, with its quotes.
     pub etag: String,
 }

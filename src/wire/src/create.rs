@@ -107,15 +107,7 @@ fn time_to_live(text: &str, allowed: RangeInclusive<Duration>) -> Result<Option<
 /// # Errors
 /// [`Error::Invalid`] with the field.
 pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
-    let format = match create.format.as_str() {
-        "" => None,
-        name => Some(Format::from_name(name).ok_or_else(|| {
-            Error::invalid(
-                "format",
-                format!("is \"{name}\", allowed are {}", Format::read_name_list("and")),
-            )
-        })?),
-    };
+    let format = read_format(&create.format)?;
     let length = |value: f64, field: &str| match number(value, field)? {
         v if v < 0.0 => Err(Error::invalid(field, format!("is {v}, it must not be negative"))),
         0.0 => Ok(None),
@@ -199,12 +191,23 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
             operators,
             apart: false,
             ties,
+            near_origin: true,
         },
         passengers: passengers(&create.passengers)?,
         loose_vertices_ride: true,
         following: following(create)?,
         kept_apart: kept_apart(create.keep_apart.as_ref())?,
     })
+}
+
+/// The format of that name; `None` of no name.
+fn read_format(name: &str) -> Result<Option<Format>, Error> {
+    let unknown = || {
+        let allowed = Format::read_name_list("and");
+        Error::invalid("format", format!("is \"{name}\", allowed are {allowed}"))
+    };
+    let given = (!name.is_empty()).then(|| Format::from_name(name).ok_or_else(unknown));
+    given.transpose()
 }
 
 /// Refuses what says how parts are tied where none are.

@@ -5,6 +5,7 @@
 use super::check::enumerated;
 use super::poses::handle_pose_message;
 use super::{Error, pb};
+use glam::DVec3;
 use pliant_asset::{
     BoneLengthRule, FollowedCounts, Following, MorphTargetRule, Primitive, RigRule, WrittenFiles, WrittenWarning,
 };
@@ -50,7 +51,24 @@ pub fn session_message(facts: &DeformerFacts) -> pb::Session {
                 found_turn: Vec::new(),
             })
             .collect(),
+        origin: origin_numbers(facts.origin),
         ..Default::default()
+    }
+}
+
+/// What positions are relative to, as numbers; none where nothing has to be added.
+pub(crate) fn origin_numbers(origin: DVec3) -> Vec<f64> {
+    match origin == DVec3::ZERO {
+        true => Vec::new(),
+        false => origin.to_array().to_vec(),
+    }
+}
+
+/// What positions of a session's frames and buffers are relative to.
+pub fn origin_of(session: &pb::Session) -> DVec3 {
+    match session.origin[..] {
+        [x, y, z] => DVec3::new(x, y, z),
+        _ => DVec3::ZERO,
     }
 }
 

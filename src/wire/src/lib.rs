@@ -32,8 +32,8 @@ pub use create::{SessionOptions, open_options, session_options};
 pub use crossings::{CrossingsOrder, crossings_order};
 pub use edit::{edit, edit_name, edit_result};
 pub use facts::{
-    add_found_turns, followed_message, found_turns_message, handle_poses_message, quality_message, session_message,
-    warning_message, written_warnings,
+    add_found_turns, followed_message, found_turns_message, handle_poses_message, origin_of, quality_message,
+    session_message, warning_message, written_warnings,
 };
 pub use handles::{HandlePatch, handle_patch};
 pub use handles::{handle_set, handle_set_message, region_message};

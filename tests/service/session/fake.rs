@@ -174,6 +174,7 @@ impl Engine for Fake {
             solver: SolverFacts::default(),
             handles: self.handles.handles.iter().map(facts).collect(),
             warnings: Vec::new(),
+            origin: DVec3::ZERO,
         }
     }
 

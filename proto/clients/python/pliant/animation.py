@@ -17,7 +17,7 @@ import numpy.typing as npt
 from google.protobuf import json_format
 from typing_extensions import TypedDict
 
-from .frames import Assembler, Floats, Frame
+from .frames import Assembler, Frame, Positions
 from .options import SolveFields, options
 from .regions import enum
 from .values import about, mapping, put, seen
@@ -85,14 +85,14 @@ class AnimatedFrame(Frame):
     #: Digest of the positions as the root bone sees them, the same as in ``pliant animate --json``.
     digest: str
 
-    def placed(self) -> Floats:
-        """The positions where the root bone has carried them, (render vertices, 3)."""
+    def placed(self) -> Positions:
+        """The positions where the root bone has carried them, (render vertices, 3), of the same type."""
         x, y, z, w = self.root_rotation
         axis = np.array([x, y, z])
         points = self.positions.astype(np.float64)
         across = 2 * np.cross(axis, points)
         moved = points + w * across + np.cross(axis, across) + self.root_translation
-        placed: Floats = moved.astype(np.float32)
+        placed: Positions = moved.astype(self.positions.dtype)
         return placed
 
 

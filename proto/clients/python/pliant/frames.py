@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,8 @@ from .v1 import pliant_pb2 as pb
 from .vertex_codec import Steps, decode_steps
 
 Floats = npt.NDArray[np.float32]
+#: float32, or float64 far from the origin (map coordinates), where 32 bits would round them.
+Positions = npt.NDArray[np.floating[Any]]
 
 #: What is behind frames that have another number of vertices.
 _EDITED = "after an edit, its undo or redo, open a new stream"
@@ -29,8 +31,8 @@ class Frame:
     seq: int
     #: The session's revision after it.
     revision: int
-    #: (render vertices, 3).
-    positions: Floats
+    #: (render vertices, 3), in model space: float64 where the session has an origin, else float32.
+    positions: Positions
     #: (render vertices, 3), where asked for.
     normals: Floats | None
     #: (render vertices, 4), where asked for; zeros for primitives without tangents (with packed encodings about 1.5e-5,
@@ -196,7 +198,7 @@ class Assembler:
         return Frame(
             seq=last.seq,
             revision=last.revision,
-            positions=positions,
+            positions=in_model_space(positions, last.origin),
             normals=buffer(pb.Frame.NORMAL),
             tangents=buffer(pb.Frame.TANGENT),
             changed=changed,
@@ -209,6 +211,11 @@ class Assembler:
             quality=last.quality if last.HasField("quality") else None,
             found_turns={turn.id: (x, y, z) for turn in last.found_turns for x, y, z in [turn.rotation_vector]},
         )
+
+
+def in_model_space(positions: Floats, origin: Sequence[float]) -> Positions:
+    """Positions that came relative to `origin`; as they are where there is none."""
+    return positions.astype(np.float64) + np.array(origin) if len(origin) == 3 else positions
 
 
 def _check_with(part: pb.Frame, before: pb.Frame) -> None:

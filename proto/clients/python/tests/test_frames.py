@@ -19,7 +19,7 @@ def part(number: int, parts: int, values: np.ndarray, **fields: object) -> pb.Fr
     data = values.astype("<f4").tobytes()
     made = pb.Frame(seq=7, part=number, parts=parts, data=data, vertex_count=len(values), final=True)
     for name, value in fields.items():
-        getattr(made, name).extend(value) if name in ("indices", "box_min", "box_max") else setattr(made, name, value)
+        getattr(made, name).extend(value) if name in ("indices", "box_min", "box_max", "origin") else setattr(made, name, value)
     return made
 
 
@@ -55,6 +55,18 @@ def test_changes_apply_to_what_came_before_and_frames_are_the_callers_own() -> N
     nothing = assembler.take(part(0, 1, points[:0]))
     assert nothing is not None and nothing.changed is not None and nothing.changed.size == 0
     assert np.array_equal(nothing.positions, second.positions)
+
+
+def test_positions_far_away_are_doubles_in_model_space() -> None:
+    points = np.array([[0.125, -0.25, 2.0], [1e-3, 0.0, -1.0]], np.float32)
+    place = [523417.25, 5274863.5, 412.0]
+    assembler = Assembler(2, changed_only=True)
+    first = assembler.take(part(0, 1, points, indices=[0, 1], origin=place))
+    assert first is not None and first.positions.dtype == np.float64
+    assert np.array_equal(first.positions, points.astype(np.float64) + place)
+    second = assembler.take(part(0, 1, points[:1] * 2, indices=[1], origin=place))
+    assert second is not None
+    assert np.array_equal(second.positions, points[[0, 0]] * np.float64([[1], [2]]) + place)
 
 
 def test_sixteen_bits_come_back_within_half_a_step() -> None:

@@ -48,6 +48,8 @@ export class Frame implements FrameFacts {
   readonly bytes: number;
   readonly quality?: Quality;
   readonly foundTurns: ReadonlyMap<string, Vector>;
+  /** What its positions are relative to; zero but for models far from the origin. */
+  readonly origin: Vector;
   /** Whether it carries only some vertices and thus needs the frames before it. */
   readonly isPartial: boolean;
 
@@ -73,6 +75,7 @@ export class Frame implements FrameFacts {
       this.quality = first.quality;
     }
     this.foundTurns = new Map(first.foundTurns.map(({ id, rotationVector: [x = 0, y = 0, z = 0] }) => [id, [x, y, z]]));
+    this.origin = originOf(first);
     this.isPartial = parts.some((part) => part.indices.length > 0 || part.vertexCount === 0);
   }
 
@@ -81,7 +84,10 @@ export class Frame implements FrameFacts {
     return this.parts.some((part) => part.attribute === Attribute.NORMAL);
   }
 
-  /** Writes x, y, z of every vertex that it carries into `target`; vertices that it does not carry keep their place. */
+  /**
+   * Writes x, y, z of every vertex that it carries into `target`, relative to `origin`; vertices that it does not carry keep their
+   * place. `inModelSpace` adds the origin.
+   */
   positionsInto(target: Float32Array): void {
     this.write(Attribute.POSITION, 3, target);
   }
@@ -103,6 +109,16 @@ export class Frame implements FrameFacts {
       }
     }
   }
+}
+
+/** What positions are relative to by a session or a part of a frame. */
+export function originOf({ origin: [x = 0, y = 0, z = 0] }: { readonly origin: readonly number[] }): Vector {
+  return [x, y, z];
+}
+
+/** Positions that came relative to an origin, in model space and 64 bits: far from the origin, 32 bits round them. */
+export function inModelSpace(positions: Float32Array, origin: Vector): Float64Array<ArrayBuffer> {
+  return Float64Array.from(positions, (value, k) => value + (origin[k % 3] as number));
 }
 
 function writePart(part: Part, size: 3 | 4, target: Float32Array, held: Uint16Array | undefined): void {

@@ -22,6 +22,7 @@ import {
 } from "./gen/pliant/v1/pliant_pb.js";
 import type { AnimateOptions } from "./animation.js";
 import { Animation, formOf } from "./animation.js";
+import { originOf } from "./frames.js";
 import { checkPoses } from "./poses.js";
 import { type RegionLike, regionFrom } from "./regions.js";
 import type { Vector } from "./rotation.js";
@@ -63,7 +64,7 @@ export type Format = "glb" | "gltf" | "obj" | "ply" | "off" | "stl";
 
 /** A committed pose as a bare buffer. */
 export interface Solved {
-  /** x, y, z per render vertex. */
+  /** x, y, z per render vertex, relative to `Session.origin`. */
   readonly positions: Float32Array<ArrayBuffer>;
   readonly revision: number;
   /** Digest of the positions: equal digests are equal bits. */
@@ -205,7 +206,12 @@ export class Session {
     return this.transport.read("POST", this.path("/animations"), "model/gltf-binary", { ...call, body }, blobOf);
   }
 
-  /** The current shape: x, y, z per render vertex. */
+  /** What positions in buffers and frames are relative to; zero but for models far from the origin. `inModelSpace` adds it. */
+  get origin(): Vector {
+    return originOf(this.facts);
+  }
+
+  /** The current shape: x, y, z per render vertex, relative to `origin`. */
   async positions(call: CallOptions = {}): Promise<Float32Array<ArrayBuffer>> {
     const read = (response: Response) => response.arrayBuffer();
     return new Float32Array(await this.transport.read("GET", this.path("/positions"), "application/octet-stream", call, read));

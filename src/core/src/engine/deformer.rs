@@ -18,7 +18,7 @@ use crate::engine::settings::{DeformerLimits, OpenOptions};
 use crate::engine::shape::{ModelShape, ShapeId, TopologyId};
 use crate::engine::stiff::{farthest_off_rigid, find_hard_parts};
 use crate::exec::Exec;
-use crate::mesh::{Crossing, CrossingPairs, Mesh, MeshReport, self_intersections};
+use crate::mesh::{BoundingBox, Crossing, CrossingPairs, Mesh, MeshReport, self_intersections};
 use crate::pool::Pool;
 use crate::reference::SpatialRbf;
 use glam::DVec3;
@@ -328,6 +328,7 @@ impl Deformer {
                     .map_or(0, |system| count_u32(system.stiff_parts(body).count())),
             },
             handles: self.handle_facts(),
+            origin: BoundingBox::of(&self.model().geometry.positions).origin(),
         }
     }
 

@@ -54,6 +54,7 @@ impl Deformer {
             regions: self.region_context(shape, exec),
             limits: self.room_limits(),
             rest: &rest.positions,
+            near_origin: self.options.body.near_origin,
             bend: self.handle_system().map(|handles| HandleBend {
                 handles,
                 mesh: &self.derived.mesh,

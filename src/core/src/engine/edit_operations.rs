@@ -42,6 +42,8 @@ pub(super) struct EditContext<'a> {
     pub surface: &'a mut EditSurface,
     /// What its vertices are made of.
     pub origins: &'a mut VertexOrigins,
+    /// Whether a surface far from the origin is edited as it would be near it.
+    pub near_origin: bool,
     /// Refuses an edit that would add about so many triangles, before it is begun.
     pub admit_growth: &'a dyn Fn(f64) -> Result<(), Error>,
 }
@@ -88,7 +90,7 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
         }
         Edit::Decimate { region, ratio } => {
             let faces = context.faces_in_region(region.as_ref(), kind)?;
-            edit::decimate_region(&surface, &faces, *ratio, progress)?
+            context.plan_near_origin(|surface| edit::decimate_region(surface, &faces, *ratio, progress))?
         }
         Edit::Delete { region, fill } => {
             let faces = context.faces_in_region(Some(region), kind)?;
@@ -124,7 +126,7 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
             if expected <= edit::MOST_TRIANGLES as f64 {
                 (context.admit_growth)(expected - faces.len() as f64)?;
             }
-            edit::remesh_region(&surface, &faces, &options, progress)?
+            context.plan_near_origin(|surface| edit::remesh_region(surface, &faces, &options, progress))?
         }
         Edit::Smooth(smooth) => plan_smoothing(context, smooth, exec)?,
         Edit::Merge(merge) => plan_merge(context, merge, exec)?,
@@ -142,6 +144,27 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
 }
 
 impl EditContext<'_> {
+    /// Plans on the surface; where it is far from the origin, as it is near it, so that decisions between lengths are those there.
+    fn plan_near_origin(
+        &self,
+        plan: impl FnOnce(&SurfaceView<'_>) -> Result<SurfacePatch, edit::Error>,
+    ) -> Result<SurfacePatch, Error> {
+        let surface = self.surface.surface();
+        let bounds = BoundingBox::of(surface.positions);
+        if !(self.near_origin && bounds.is_far()) {
+            return Ok(plan(&surface)?);
+        }
+        let positions = bounds.near_origin(surface.positions);
+        let mut patch = plan(&SurfaceView {
+            positions: &positions,
+            ..surface
+        })?;
+        let moved = patch.moved.iter_mut().map(|(_, place)| place);
+        let places = moved.chain(patch.vertices.iter_mut().map(|vertex| &mut vertex.position));
+        places.for_each(|place| *place += bounds.center());
+        Ok(patch)
+    }
+
     /// Whether edges are hard where a cap meets a wall of each primitive: where it has normals.
     fn hard_caps(&self) -> Vec<bool> {
         self.surface.primitives.iter().map(|p| p.has_normals).collect()

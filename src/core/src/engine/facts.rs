@@ -24,6 +24,9 @@ pub struct DeformerFacts {
     pub handles: Vec<HandleFacts>,
     /// What was noticed about model and handles.
     pub warnings: Vec<DeformerWarning>,
+    /// What positions are relative to where they become 32-bit numbers ([`BoundingBox::origin`](crate::mesh::BoundingBox::origin)):
+    /// that of the model as it was read, whatever edits do.
+    pub origin: DVec3,
 }
 
 /// The model as it was read, and its sizes now.

@@ -67,6 +67,7 @@ impl Default for OpenOptions {
                 operators: CoarseOperators::FiniteVolume,
                 apart: false,
                 ties: Some(TieOptions::default()),
+                near_origin: true,
             },
             passengers: Vec::new(),
             loose_vertices_ride: true,

@@ -84,6 +84,19 @@ impl MeshGraph {
         self.offsets[node as usize] as usize..self.offsets[node as usize + 1] as usize
     }
 
+    /// Moves all nodes by `way`; those of the surface to `surface`, which is there already.
+    ///
+    /// # Panics
+    /// When `surface` has not as many places as the graph has surface nodes.
+    pub fn move_nodes(&mut self, surface: &[DVec3], way: DVec3) {
+        let (own, inner) = self.positions.split_at_mut(self.surface);
+        own.copy_from_slice(surface);
+        inner.iter_mut().for_each(|p| *p += way);
+        if let Some(inside) = &mut self.recipe.inside {
+            inside.origin += way;
+        }
+    }
+
     /// What an entry weighs.
     pub(super) fn weight(&self, entry: usize) -> f32 {
         self.weights.as_ref().map_or(1.0, |w| w[entry])

@@ -7,6 +7,7 @@ use crate::messages::parse_format_name;
 use axum::body::Body;
 use axum::response::Response;
 use bytes::Bytes;
+use glam::DVec3;
 use http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use percent_encoding::{NON_ALPHANUMERIC, utf8_percent_encode};
 use pliant_asset::FollowedCounts;
@@ -15,6 +16,15 @@ use xxhash_rust::xxh3::xxh3_64;
 
 /// The header that counts what followed the shape of an exported model.
 const FOLLOWED: HeaderName = HeaderName::from_static("x-pliant-followed");
+
+/// The header that says what positions of a buffer are relative to: x, y, z with blanks between them.
+pub(super) const ORIGIN: HeaderName = HeaderName::from_static("x-pliant-origin");
+
+/// The value of [`ORIGIN`]; `None` where nothing has to be added.
+pub(super) fn origin_value(origin: DVec3) -> Option<HeaderValue> {
+    let told = HeaderValue::from_str(&format!("{} {} {}", origin.x, origin.y, origin.z)).ok();
+    told.filter(|_| origin != DVec3::ZERO)
+}
 
 /// `GET …/model`. A glTF file with external buffers is the main file with a `Link` header for every companion; with
 /// `?uri=` it is that companion.
@@ -124,7 +134,7 @@ fn companion(exported: ExportedModel, uri: &str, headers: &HeaderMap) -> Result<
     .respond(headers)
 }
 
-/// `GET …/positions`: little-endian x, y, z per render vertex.
+/// `GET …/positions`: little-endian x, y, z per render vertex, relative to the header `x-pliant-origin` where it is there.
 pub(super) async fn positions(call: SessionCall, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
     call.check_session().await?;
     let tenant = &call.caller.tenant;
@@ -137,7 +147,10 @@ pub(super) async fn positions(call: SessionCall, uri: Uri, headers: HeaderMap) -
         etag: positions.etag,
         file_name,
     };
-    download.respond(&headers)
+    let mut response = download.respond(&headers)?;
+    let origin = origin_value(positions.origin).map(|value| (ORIGIN, value));
+    response.headers_mut().extend(origin);
+    Ok(response)
 }
 
 /// Something to download.

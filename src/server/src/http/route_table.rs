@@ -216,7 +216,7 @@ pub(crate) const ROUTES: [Route; 25] = [
     },
     Route {
         path: "/v1/sessions/{id}/positions",
-        summary: "Download the vertex buffer: little-endian 32-bit x, y, z per render vertex. Honours Range and ETag.",
+        summary: "Download the vertex buffer: little-endian 32-bit x, y, z per render vertex, relative to the header x-pliant-origin (three numbers) where it is there. Honours Range and ETag.",
         ..PLAIN
     },
     Route {

@@ -232,6 +232,7 @@ fn facts(solved: &CommittedPose) -> HeaderMap {
             set("x-pliant-off-rigid", off.to_string());
         }
     }
+    headers.extend(models::origin_value(solved.frame.origin).map(|value| (models::ORIGIN, value)));
     headers
 }
 

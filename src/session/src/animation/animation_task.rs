@@ -97,6 +97,7 @@ impl AnimationTask {
                 revision: prepared.revision,
                 topology: None,
                 diagonal: prepared.animation.diagonal(),
+                origin: prepared.origin,
                 queued: Duration::ZERO,
                 part_bytes: self.manager.shared.config.part_bytes,
             },

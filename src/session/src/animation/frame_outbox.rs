@@ -11,6 +11,7 @@ use crate::capacity::memory_ledger::MemoryReservation;
 use crate::error::{Error, ErrorCode};
 use crate::metrics::Metrics;
 use crate::stream::frame_window::{FramePacker, FrameWindow};
+use glam::DVec3;
 use pliant_core::engine::{Animation, Shader};
 use pliant_exec::progress::{CancelFlag, Progress};
 use pliant_wire::AnimationSummary;
@@ -318,6 +319,8 @@ pub(crate) struct PreparedAnimation {
     pub shader: Option<Arc<Shader>>,
     /// The session's revision when it was prepared.
     pub revision: u64,
+    /// What positions are relative to as they are sent.
+    pub origin: DVec3,
     /// Milliseconds by stage.
     pub build_ms: BTreeMap<String, f64>,
 }

@@ -15,7 +15,7 @@ use crate::stream::ends::{StreamInput, StreamOutput, stream_ends};
 use crate::stream::mailbox::Mailbox;
 use pliant_asset::Format;
 use pliant_wire::frames::{FrameOutput, f32_bytes};
-use pliant_wire::{AnimateOrder, CarryOrder, CrossingsOrder, MakeRigOrder, pb};
+use pliant_wire::{AnimateOrder, CarryOrder, CrossingsOrder, MakeRigOrder, origin_of, pb};
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
 use tracing::Instrument;
@@ -101,9 +101,11 @@ impl Manager {
     pub async fn positions(&self, tenant: &Tenant, id: &str) -> Result<PositionBuffer, Error> {
         let view = self.find(tenant, id).await?.view();
         let etag = OpenSession::etag(&view, "f32");
-        let bytes = self.shared.compute.offload(move || f32_bytes(&view.positions)).await?;
+        let origin = origin_of(&view.facts);
+        let encode = move || f32_bytes(&view.positions, origin);
+        let bytes = self.shared.compute.offload(encode).await?;
         self.note(tenant, AuditedAction::Export, id).await;
-        Ok(PositionBuffer { bytes, etag })
+        Ok(PositionBuffer { bytes, etag, origin })
     }
 
     /// Opens an interactive stream on a session. It starts from the committed poses. Dropping its output stops its solve within one cycle

@@ -15,6 +15,8 @@ pub(crate) struct FrameContext {
     /// What edits have made of the model.
     pub topology: Option<TopologyId>,
     pub diagonal: f64,
+    /// What positions are relative to as they are sent.
+    pub origin: DVec3,
     /// How long the work waited for a compute slot.
     pub queued: Duration,
     /// Bytes that the data of a part may take.
@@ -39,6 +41,7 @@ impl FrameContext {
             },
             topology: self.topology,
             diagonal: self.diagonal,
+            origin: self.origin,
             positions,
             shading,
             output,
@@ -106,6 +109,8 @@ impl FrameWindow {
 /// Packs the frames of one stream. Remembers what the reader holds, for frames that carry changes only.
 #[derive(Debug, Default)]
 pub(crate) struct FramePacker {
+    /// What the positions in the buffers are relative to.
+    origin: DVec3,
     /// The buffer that the reader holds after each frame that it was sent and has not acknowledged, with the frame's seq.
     sent: VecDeque<(u64, Vec<Vec3>)>,
     /// The buffer after the newest acknowledged frame.
@@ -129,9 +134,10 @@ impl FramePacker {
         };
         let positions = frame.positions.as_slice();
         let mut buffers = self.acknowledged.iter().chain(self.sent.iter().map(|s| &s.1));
-        if buffers.any(|buffer| buffer.len() != positions.len()) {
+        if buffers.any(|buffer| buffer.len() != positions.len()) || self.origin != frame.origin {
             // An edit has changed the number of vertices: the reader gets all of them.
             *self = Self::default();
+            self.origin = frame.origin;
         }
         let is_read = |seq: u64| acknowledged.is_some_and(|a| seq <= a);
         while self.sent.front().is_some_and(|(seq, _)| is_read(*seq)) {
@@ -145,7 +151,10 @@ impl FramePacker {
         let mut buffer = std::mem::take(&mut self.spare);
         let mut selected = Vec::with_capacity(self.carried.min(positions.len()));
         select_changed(
-            positions,
+            &RelativePlaces {
+                positions,
+                origin: self.origin,
+            },
             reader,
             threshold * frame.diagonal,
             &mut selected,
@@ -170,25 +179,36 @@ struct ReaderBuffers<'a> {
     sent: Option<&'a [Vec3]>,
 }
 
+/// Where vertices are, as a frame holds them.
+struct RelativePlaces<'a> {
+    positions: &'a [DVec3],
+    origin: DVec3,
+}
+
+impl RelativePlaces<'_> {
+    fn all(&self) -> impl ExactSizeIterator<Item = Vec3> {
+        self.positions.iter().map(|p| (*p - self.origin).as_vec3())
+    }
+}
+
 /// Selects the vertices that lie further than `distance` from their place in any of the reader's buffers, ascending, and writes what
 /// it holds after it was sent them. Without buffers all are selected.
 fn select_changed(
-    positions: &[DVec3],
+    places: &RelativePlaces<'_>,
     reader: Option<ReaderBuffers<'_>>,
     distance: f64,
     selected: &mut Vec<u32>,
     after: &mut Vec<Vec3>,
 ) {
     after.clear();
-    after.reserve_exact(positions.len());
+    after.reserve_exact(places.positions.len());
     let Some(ReaderBuffers { acknowledged, sent }) = reader else {
-        after.extend(positions.iter().map(|p| p.as_vec3()));
-        selected.extend((0..positions.len()).map(|v| v as u32));
+        after.extend(places.all());
+        selected.extend((0..after.len()).map(|v| v as u32));
         return;
     };
-    for (v, p) in positions.iter().enumerate() {
-        // Both sides are rounded alike, so that a vertex that rests has moved by exactly nothing.
-        let p = p.as_vec3();
+    // Both sides are rounded alike, so that a vertex that rests has moved by exactly nothing.
+    for (v, p) in places.all().enumerate() {
         let is_far = |from: Vec3| (p.as_dvec3() - from.as_dvec3()).length() > distance;
         if is_far(acknowledged[v]) || sent.is_some_and(|sent| is_far(sent[v])) {
             selected.push(v as u32);
@@ -279,7 +299,11 @@ mod frame_packer_tests {
         positions[9].z += 0.05;
         let select = |reader, distance| {
             let (mut selected, mut after) = (Vec::new(), vec![Vec3::NAN; 3]);
-            select_changed(&positions, reader, distance, &mut selected, &mut after);
+            let places = RelativePlaces {
+                positions: &positions,
+                origin: DVec3::ZERO,
+            };
+            select_changed(&places, reader, distance, &mut selected, &mut after);
             (selected, after)
         };
         let reader = ReaderBuffers {

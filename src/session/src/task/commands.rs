@@ -27,7 +27,7 @@ use pliant_mesh::CrossingPairs;
 use pliant_motion::bvh::read_bvh;
 use pliant_wire::record::LoggedCommit;
 use pliant_wire::{
-    CarryOrder, CrossingsOrder, DeformOptions, MakeRigOrder, PoseCommit, SessionEdit, made_rig_message, pb,
+    CarryOrder, CrossingsOrder, DeformOptions, MakeRigOrder, PoseCommit, SessionEdit, made_rig_message, origin_of, pb,
 };
 use std::sync::Arc;
 use std::time::Instant;
@@ -199,6 +199,7 @@ impl RunCall for PoseCommit {
                     revision,
                     topology: state.topology.as_ref().map(TopologyState::id),
                     diagonal: state.diagonal,
+                    origin: origin_of(&state.facts),
                     queued: work.queued,
                     part_bytes,
                 };
@@ -511,6 +512,7 @@ impl RunCall for PrepareAnimation {
         let Self { order, outbox } = self;
         let revision = task.history.revision();
         let topology = task.history.current().topology.clone();
+        let relative_to = origin_of(&task.history.current().facts);
         let limits = task.shared.config.animation_limits();
         if let ClipSource::Bvh { bytes, .. } = &order.request.clip {
             reserve_for_clip(task, bytes.len())?;
@@ -541,6 +543,7 @@ impl RunCall for PrepareAnimation {
             animation,
             shader,
             revision,
+            origin: relative_to,
             build_ms: watch.take_stage_ms(),
         })
     }

@@ -20,7 +20,7 @@ use pliant_core::engine;
 use pliant_core::engine::{Edit, ModelShape, TopologyState};
 use pliant_wire::frames::Frame;
 use pliant_wire::record::{AnsweredFrame, LoggedCommit, ShapeProbe};
-use pliant_wire::{PoseKey, SessionEdit, pb};
+use pliant_wire::{PoseKey, SessionEdit, origin_of, pb};
 use std::sync::Arc;
 
 /// Solved commits after which the newest shape is kept, so that opening solves few of them again.
@@ -320,6 +320,7 @@ impl SessionTask {
             return Ok(None);
         };
         let (digest, diagonal, topology) = (state.digest.clone(), state.diagonal, state.topology.clone());
+        let origin = origin_of(&state.facts);
         let AnsweredFrame { mut header, output } = frame;
         header.revision = revision;
         let id = topology.as_ref().map(TopologyState::id);
@@ -333,6 +334,7 @@ impl SessionTask {
                     header,
                     topology: id,
                     diagonal,
+                    origin,
                     positions: shape.positions,
                     shading,
                     output,

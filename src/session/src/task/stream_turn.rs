@@ -17,6 +17,7 @@ use crate::task::commands::lane_of_commit;
 use crate::task::session_task::{SessionTask, no_handles};
 use pliant_core::engine::{self, HandlePose, HandlePoses, Quality, SolveMode, SolveUpdate, TopologyState};
 use pliant_wire::frames::Frame;
+use pliant_wire::origin_of;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -74,6 +75,7 @@ impl SessionTask {
                     revision,
                     topology: state.topology.as_ref().map(TopologyState::id),
                     diagonal: state.diagonal,
+                    origin: origin_of(&state.facts),
                     queued: work.queued,
                     part_bytes,
                 };

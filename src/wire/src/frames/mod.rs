@@ -23,13 +23,22 @@ use bytes::Bytes;
 use glam::DVec3;
 use pliant_core::engine::{Shading, TopologyId};
 use pliant_motion::rig::RigidMotion;
+use std::borrow::Cow;
 use std::sync::Arc;
 
-/// Positions as little-endian 32-bit floats, x, y, z per vertex.
-pub fn f32_bytes(positions: &[DVec3]) -> Bytes {
+/// Positions relative to `origin` as little-endian 32-bit floats, x, y, z per vertex.
+pub fn f32_bytes(positions: &[DVec3], origin: DVec3) -> Bytes {
     let mut data = Vec::with_capacity(positions.len() * 12);
-    put_floats(PickedVertices::Run(positions), &mut data);
+    put_floats(PickedVertices::Run(&relative_to(origin, positions)), &mut data);
     data.into()
+}
+
+/// Positions as frames hold them.
+fn relative_to(origin: DVec3, positions: &[DVec3]) -> Cow<'_, [DVec3]> {
+    match origin == DVec3::ZERO {
+        true => positions.into(),
+        false => positions.iter().map(|p| *p - origin).collect(),
+    }
 }
 
 /// A frame: its header, the shape that it shows, and how that is encoded.
@@ -45,6 +54,8 @@ pub struct Frame {
     pub root: Option<RigidMotion>,
     /// One per render vertex.
     pub positions: Arc<Vec<DVec3>>,
+    /// What they are relative to as they are sent ([`pb::Session::origin`]).
+    pub origin: DVec3,
     /// Needed when `output` asks for normals or tangents; without it they are left out.
     pub shading: Option<Arc<Shading>>,
     /// What to send and how.

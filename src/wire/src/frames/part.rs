@@ -6,11 +6,13 @@ use super::numbers::{
 use super::pb::deform_response::Message as Response;
 use super::pb::frame;
 use super::sent_steps::{FrameKind, FrameReference, SentSteps};
-use super::{Frame, pb};
+use super::{Frame, pb, relative_to};
+use crate::facts::origin_numbers;
 use bytes::{Buf, BufMut};
 use glam::DVec3;
 use prost::encoding::{DecodeContext, WireType, encode_key, encode_varint, encoded_len_varint, key_len};
 use prost::{DecodeError, Message};
+use std::borrow::Cow;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -319,9 +321,13 @@ pub fn encode_next(request: Frame, sent: SentSteps) -> FrameParts {
     prepare(request, Some(sent))
 }
 
-fn prepare(request: Frame, sent: Option<SentSteps>) -> FrameParts {
+fn prepare(mut request: Frame, sent: Option<SentSteps>) -> FrameParts {
+    if let Cow::Owned(relative) = relative_to(request.origin, &request.positions) {
+        request.positions = Arc::new(relative);
+    }
     let kind = FrameKind {
         output: request.output,
+        origin: request.origin,
         topology: request.topology,
         carries: request.carries(),
         vertices: request.count(),
@@ -336,6 +342,7 @@ fn prepare(request: Frame, sent: Option<SentSteps>) -> FrameParts {
     FrameParts {
         header: pb::Frame {
             number: reference.number,
+            origin: origin_numbers(request.origin),
             ..request.header.clone()
         },
         frame: Arc::new(request),

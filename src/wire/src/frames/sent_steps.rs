@@ -39,6 +39,8 @@ struct LastFrame {
 pub(super) struct FrameKind {
     /// What was asked for, and by which options.
     pub output: FrameOutput,
+    /// What its positions are relative to.
+    pub origin: DVec3,
     /// The state of the model that its vertices belong to.
     pub topology: Option<TopologyId>,
     /// Which attributes it carries.

@@ -143,7 +143,7 @@ fn float_parts_join_to_the_whole_buffer() {
     assert_eq!(parts.len(), 10);
     check_parts(&parts, 1200);
     let joined: Vec<u8> = parts.iter().flat_map(|p| p.data.to_vec()).collect();
-    assert_eq!(joined, f32_bytes(&positions));
+    assert_eq!(joined, f32_bytes(&positions, DVec3::ZERO));
     assert!(parts.iter().all(|p| p.box_min.is_empty() && p.indices.is_empty()));
 }
 

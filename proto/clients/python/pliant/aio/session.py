@@ -16,7 +16,7 @@ from ..animation import AnimateFields, Playing, Rig, order, recording
 from ..books import Books, Commit, Traffic, commits
 from ..carried import Carried, carried, model_request, points_request
 from ..declared import CLOSE_SECONDS, GONE, CommitWish, Declared, recorded, to_drag
-from ..frames import Floats, Frame, SolvedFrame
+from ..frames import Frame, Positions, SolvedFrame, in_model_space
 from ..options import SolveFields, options
 from ..poses import Poses
 from ..progress import Meter, ProgressLike
@@ -61,7 +61,7 @@ class Session(Declared):
                 raise self._books.refused(refusal) from None
         return self._books.info
 
-    async def solve(self, poses: Poses | None = None, **how: Unpack[SolveFields]) -> Floats:
+    async def solve(self, poses: Poses | None = None, **how: Unpack[SolveFields]) -> Positions:
         """Solves one pose to the tolerance, records it, and answers the positions, (render vertices, 3).
 
         Handles that are not named keep their last pose.
@@ -147,10 +147,11 @@ class Session(Declared):
         playing = Playing(self.id, self.vertices, order(clip, rig, how), recording(bvh))
         return Animation(self._calls, playing, self.info.limits.message_bytes, progress)
 
-    async def positions(self) -> Floats:
-        """The current shape, (render vertices, 3): the rest pose before anything was solved."""
+    async def positions(self) -> Positions:
+        """The current shape, (render vertices, 3): the rest pose before anything was solved. It is float64 where the session has an
+        origin (`info.origin`), else float32."""
         values = np.frombuffer(await self._calls.get(f"/v1/sessions/{self.id}/positions"), "<f4")
-        return values.reshape(-1, 3).astype(np.float32)
+        return in_model_space(values.reshape(-1, 3).astype(np.float32), self.info.origin)
 
     async def export(self, path: str | Path, format: str = "", *, force: bool = False) -> list[Path]:
         """Writes the model in its current shape; the extension says the format. Answers the paths of the files, all

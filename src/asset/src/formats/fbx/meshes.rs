@@ -3,8 +3,8 @@
 use super::super::gltf::{self, GlbWriter};
 use super::corners::{self, CornerAttribute, FbxCornerAttributes, PartVertices};
 use super::scene::{MaterialTable, TranslationNotes, place_of, refuse};
-use crate::Error;
-use crate::files::ReadWatch;
+use crate::files::{ReadWatch, WrittenWarning};
+use crate::{Error, Format};
 use glam::{DVec3, Vec3};
 use serde_json::{Value, json};
 use ufbx::{Matrix, Mesh, Node, SkinCluster, SkinDeformer, SkinningMethod};
@@ -106,6 +106,9 @@ impl MeshSink<'_, '_, '_> {
                 DVec3::new(p.x, p.y, p.z)
             })
             .collect();
+        if let Some(rounded) = WrittenWarning::rounded(&positions, Format::GLB) {
+            self.notes.warn(rounded.code, rounded.message, place);
+        }
         let single: Vec<[f32; 3]> = positions.iter().map(|p| p.as_vec3().to_array()).collect();
         let place_of = |what: &str| format!("{place}, {what}");
         let mut json = json!({"POSITION": self.buffer.add_bounded(&single, &place_of("positions"))?});

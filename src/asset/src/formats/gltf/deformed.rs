@@ -7,10 +7,11 @@ use super::placement::VertexTransforms;
 use super::read::{GltfNotes, PlacedPrimitive};
 use super::rig::rewrite::followable;
 use super::targets::{AttributeSlot, ChangedAttribute, DeformedAttributes, TargetCarrier, TargetTally};
-use crate::{Error, FollowedCounts, Geometry};
+use crate::files::WrittenWarning;
+use crate::{Error, FollowedCounts, Format, Geometry};
 use glam::{DMat3, DVec3, Vec3, Vec4};
 use pliant_mesh::local_turns::LocalTurn;
-use pliant_mesh::shading;
+use pliant_mesh::{BoundingBox, shading};
 
 /// A new shape of a model, and what follows it.
 pub(super) struct NewShape<'a> {
@@ -76,6 +77,31 @@ pub(super) fn wanted_attributes(
             Ok(DeformedAttributes(changes))
         })
         .collect()
+}
+
+/// The warning of places that the numbers of their mesh round, far from its origin.
+pub(super) fn rounded_places(
+    doc: &GltfDocument<'_>,
+    notes: &GltfNotes,
+    positions: &[DVec3],
+    format: Format,
+) -> Result<Option<WrittenWarning>, Error> {
+    if !BoundingBox::of(positions).is_far() {
+        return Ok(None);
+    }
+    for row in &notes.rows {
+        let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
+        let Some(mesh_from_world) = row.placement.transforms(doc, primitive)?.inverse() else {
+            continue;
+        };
+        let own = positions[row.vertices.clone()].iter().enumerate();
+        let in_mesh: Vec<DVec3> = own.map(|(i, p)| mesh_from_world.at(i).transform_point3(*p)).collect();
+        let warning = WrittenWarning::rounded(&in_mesh, format);
+        if warning.is_some() {
+            return Ok(warning);
+        }
+    }
+    Ok(None)
 }
 
 fn moved_vertices(rest: &[DVec3], now: &[DVec3]) -> Vec<bool> {

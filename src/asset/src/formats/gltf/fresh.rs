@@ -9,7 +9,7 @@ use crate::look::{AlphaMode, MaterialPicture, NamedMaterial};
 use crate::neutral::{NeutralModel, NeutralPrimitive};
 use crate::{Error, Format, Primitive, WrittenFiles};
 use glam::{DVec3, Vec3};
-use pliant_mesh::shading;
+use pliant_mesh::{BoundingBox, shading};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -17,11 +17,14 @@ use std::sync::Arc;
 type Section = (&'static str, String);
 
 /// One buffer, one node and mesh for each primitive, with positions, indices, and normals, texture coordinates and
-/// colours where there are any; and materials with their pictures.
+/// colours where there are any; and materials with their pictures. Far from the origin nodes have a translation, and meshes numbers of
+/// their own size.
 pub(super) fn build(neutral: &NeutralModel, format: Format) -> Result<WrittenFiles, Error> {
     let fault = GltfFault(format);
+    let origin = BoundingBox::of(&neutral.geometry.positions).origin_like(neutral.origin);
     let mut asset = BuiltAsset {
         fault,
+        origin,
         data: BufferBuilder::default(),
         meshes: Vec::new(),
         materials: Vec::new(),
@@ -35,6 +38,7 @@ pub(super) fn build(neutral: &NeutralModel, format: Format) -> Result<WrittenFil
         asset.add_primitive(neutral, &own)?;
         let mut node = vec![("mesh", nodes.len().to_string())];
         node.extend(name_of(own.primitive));
+        node.extend(translation_to(origin));
         nodes.push(json_object(node));
     }
     if nodes.is_empty() {
@@ -76,6 +80,11 @@ fn source_map(neutral: &NeutralModel, own: &NeutralPrimitive<'_>) -> Option<(&'s
     Some(("extras", json_object([("sourceVertices", runs)])))
 }
 
+/// The member of a node that puts its mesh there; `None` at the origin itself.
+pub(super) fn translation_to(origin: DVec3) -> Option<(&'static str, String)> {
+    (origin != DVec3::ZERO).then(|| ("translation", json_array(origin.to_array().map(|v| format!("{v:?}")))))
+}
+
 /// The member of a node or mesh that names it.
 fn name_of(primitive: &Primitive) -> Option<(&'static str, String)> {
     (!primitive.name.is_empty()).then(|| ("name", quoted(&primitive.name)))
@@ -83,6 +92,8 @@ fn name_of(primitive: &Primitive) -> Option<(&'static str, String)> {
 
 struct BuiltAsset {
     fault: GltfFault,
+    /// What positions are relative to.
+    origin: DVec3,
     data: BufferBuilder,
     meshes: Vec<String>,
     materials: Vec<Arc<NamedMaterial>>,
@@ -113,7 +124,7 @@ impl BuiltAsset {
             .collect();
         let indices = indices.ok_or_else(outside)?;
 
-        let positions: Vec<Vec3> = in_world.iter().map(|p| p.as_vec3()).collect();
+        let positions: Vec<Vec3> = in_world.iter().map(|p| (*p - self.origin).as_vec3()).collect();
         if let Some(i) = positions.iter().position(|p| !p.is_finite()) {
             let problem = format!(
                 "the position {} of vertex {} is beyond 32-bit floats",

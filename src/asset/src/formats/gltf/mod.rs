@@ -92,6 +92,8 @@ use crate::moving_scene::{MovingScene, PlayedClip, PrimitiveShapes, SceneClip};
 use crate::neutral::{NeutralModel, RunAttributes};
 use crate::vertex_attributes::AttributeKeys;
 use crate::{Error, FileSet, FollowedCounts, Format, Model, ModelNode, MorphTargetRule, WrittenFiles};
+use glam::DVec3;
+use pliant_mesh::BoundingBox;
 use pliant_mesh::local_turns::local_turns;
 use read::GltfNotes;
 use std::collections::BTreeSet;
@@ -105,8 +107,8 @@ impl FormatCodec for GltfCodec {
         format == GLB_FORMAT || format == GLTF_FORMAT
     }
 
-    fn rounds_to_single(&self) -> bool {
-        true
+    fn single_origin(&self, bounds: &BoundingBox) -> Option<DVec3> {
+        Some(bounds.origin())
     }
 
     fn read(&self, files: &FileSet, format: Format, watch: &ReadWatch<'_>) -> Result<ReadFile, Error> {
@@ -143,6 +145,8 @@ impl FormatCodec for GltfCodec {
         let mut written = rig::rewrite::finish(tree.as_ref(), written, format, &doc, clips, &tally)?;
         if !is_same(&model.geometry.positions, positions) {
             written.warnings.extend(extensions::doubtful_extensions(&doc, false));
+            let rounded = deformed::rounded_places(&doc, notes, positions, format)?;
+            written.warnings.extend(rounded);
         }
         self_contained_if_new(written, model.format, format)
     }

@@ -68,7 +68,7 @@ impl FormatCodec for PlyCodec {
     }
 }
 
-/// The uploaded file with the vertices at `positions`. Whole-number coordinates become doubles where they must.
+/// The uploaded file with the vertices at `positions`. Coordinates become doubles where they must.
 fn patch(bytes: &[u8], notes: &PlyNotes, rest: &Geometry, positions: &[DVec3]) -> Result<Vec<u8>, Error> {
     let properties = &notes.vertex.properties;
     let stored = stored_types(notes, positions)?;

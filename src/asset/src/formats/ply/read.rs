@@ -9,7 +9,7 @@ use crate::geometry::unit_or_zero;
 use crate::model::FileNotes;
 use crate::{Error, Format, Geometry};
 use glam::{DVec3, Vec3};
-use pliant_mesh::NONE;
+use pliant_mesh::{BoundingBox, NONE};
 use std::collections::BTreeMap;
 
 /// The format, by what it is known.
@@ -258,11 +258,16 @@ impl PlyNotes {
     }
 }
 
-/// The types of the vertices' numbers: whole coordinates become doubles where they must.
+/// The types of the vertices' numbers: coordinates become doubles where whole numbers or floats lose places, floats far from the origin.
 pub(super) fn stored_types(notes: &PlyNotes, positions: &[DVec3]) -> Result<Vec<PlyScalar>, Error> {
     let mut stored: Vec<PlyScalar> = notes.vertex.properties.iter().map(|p| p.scalar).collect();
+    let is_far = BoundingBox::of(positions).is_far();
+    let moved = |axis: usize| !positions.iter().all(|p| PlyScalar::F32.holds_exactly(p[axis]));
     for (axis, &property) in notes.position.iter().enumerate() {
         let scalar = &mut stored[property];
+        if *scalar == PlyScalar::F32 && is_far && moved(axis) {
+            *scalar = PlyScalar::F64;
+        }
         if scalar.is_integer() && !positions.iter().all(|p| scalar.holds_exactly(p[axis])) {
             *scalar = PlyScalar::F64;
         } else if *scalar == PlyScalar::F32

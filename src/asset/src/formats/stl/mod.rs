@@ -19,7 +19,7 @@ use crate::neutral::NeutralModel;
 use crate::vertex_attributes::AttributeKeys;
 use crate::{Error, FileSet, Format, Geometry, Model, Primitive, WrittenFiles, WrittenWarning};
 use glam::DVec3;
-use pliant_mesh::NONE;
+use pliant_mesh::{BoundingBox, NONE};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -48,11 +48,15 @@ impl FormatCodec for StlCodec {
     }
 
     fn patch_positions(&self, output: &PatchedOutput<'_>) -> Result<WrittenFiles, Error> {
-        patch(output.model, output.positions).map(WrittenFiles::single)
+        let rounded = is_binary(output.model).then(|| WrittenWarning::rounded(output.positions, FORMAT));
+        Ok(WrittenFiles {
+            warnings: rounded.flatten().into_iter().collect(),
+            ..WrittenFiles::single(patch(output.model, output.positions)?)
+        })
     }
 
-    fn rounds_to_single(&self) -> bool {
-        true
+    fn single_origin(&self, _: &BoundingBox) -> Option<DVec3> {
+        Some(DVec3::ZERO)
     }
 
     fn takes_attributes(&self) -> bool {
@@ -67,8 +71,9 @@ impl FormatCodec for StlCodec {
             ..
         } = &neutral.geometry;
         let parts = primitives.iter().map(|own| (own, own.vertices()));
+        let bare = bare_points(parts, triangles, positions.len()).into_iter();
         Ok(WrittenFiles {
-            warnings: bare_points(parts, triangles, positions.len()).into_iter().collect(),
+            warnings: bare.chain(WrittenWarning::rounded(positions, FORMAT)).collect(),
             ..WrittenFiles::single(facets_file(triangles, positions)?)
         })
     }
@@ -81,15 +86,20 @@ impl FormatCodec for StlCodec {
     fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         let EditedOutput { edited, positions, .. } = *output;
         let first = edited.bases.first().map(|base| base.model);
-        let written = match first.filter(|model| is_text(model)) {
-            Some(first) => write_edited_text(edited, positions, newline_of(&first.files.main)),
-            None => write_edited_binary(edited, positions),
+        let (written, rounded) = match first.filter(|model| is_text(model)) {
+            Some(first) => (
+                write_edited_text(edited, positions, newline_of(&first.files.main)),
+                None,
+            ),
+            None => (
+                write_edited_binary(edited, positions),
+                WrittenWarning::rounded(positions, FORMAT),
+            ),
         };
         let parts = edited.runs.iter().map(|run| (edited.primitive(run), run.vertices()));
+        let bare = bare_points(parts, edited.triangles, positions.len()).into_iter();
         Ok(WrittenFiles {
-            warnings: bare_points(parts, edited.triangles, positions.len())
-                .into_iter()
-                .collect(),
+            warnings: bare.chain(rounded).collect(),
             ..WrittenFiles::single(written?)
         })
     }

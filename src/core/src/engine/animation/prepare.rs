@@ -10,6 +10,7 @@ use crate::engine::facts::{DeformerWarning, QualityReport};
 use crate::engine::quality::{measure_quality, warn_of_large_faces};
 use crate::exec::Exec;
 use crate::graph::MeshGraph;
+use crate::mesh::BoundingBox;
 use crate::motion::bvh::ClipLimits;
 use crate::motion::rig::{MotionRig, RigDriver, RigHandle, rig_handles};
 use crate::motion::{MotionClip, SceneMotion};
@@ -323,6 +324,15 @@ impl Animation {
             ));
         }
         warnings.extend(self.large_faces().map(|w| format!("{}: {}", w.code, w.message)));
+        let bounds = BoundingBox::of(self.model().1);
+        if bounds.is_far() {
+            let far = bounds.min.abs().max(bounds.max.abs()).max_element();
+            let off = far * f64::from(f32::EPSILON) / 2.0;
+            warnings.push(format!(
+                "places-rounded: files of frames have numbers of seven digits: at coordinates of {far:.3e} places are up to {off:.1e} off; move \
+                 the model to the origin before, and the files back"
+            ));
+        }
         warnings
     }
 

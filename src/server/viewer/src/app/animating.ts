@@ -5,7 +5,7 @@
 
 import { computed, effect, signal } from "@preact/signals";
 import { type AnimateOptions, PliantError, schema } from "pliant-client";
-import { type FilmFrame, MOST_FILM_BYTES, carry, everyThatFits, filmBytes, frameAt, frameSeconds } from "../model/film.ts";
+import { type FilmFrame, MOST_FILM_BYTES, around, carry, everyThatFits, filmBytes, frameAt, frameSeconds } from "../model/film.ts";
 import { recordingFacts } from "../model/recording.ts";
 import type { Surface } from "../scene/surface.ts";
 import { dropComparison, hasComparison, prepareComparison, showComparison } from "./comparing.ts";
@@ -16,6 +16,7 @@ import { frameEncoding } from "./packing.ts";
 import { playSpeed } from "./playing.ts";
 import { showDoubts } from "./rigging.ts";
 import * as s from "./signals.ts";
+import { origin } from "./space.ts";
 import { view } from "./view.ts";
 
 /** What is to be played. */
@@ -163,7 +164,8 @@ async function receive(source: ClipSource, options: ClipOptions, into: Film): Pr
       if (kept === 0 && !(await fits(source, options, wanted, count, vertices))) return;
       const positions = new Float32Array(open.rest);
       frame.positionsInto(positions);
-      into.frames.push({ index, time, root: { translation: rootTranslation, rotation: rootRotation }, positions });
+      const root = around(origin(), { translation: rootTranslation, rotation: rootRotation });
+      into.frames.push({ index, time, root, positions });
       if (kept === 0) raise(source, into, wanted);
       if (film !== into) return;
       begun ||= performance.now();

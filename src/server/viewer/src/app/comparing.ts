@@ -35,7 +35,7 @@ export async function prepareComparison(own: number | undefined, isWanted: () =>
     const vertices = tree.placements.reduce((sum, { vertices: count }) => sum + count, 0);
     const isSkinned = tree.placements.some(({ node }) => tree.nodes[node]?.["skin"] !== undefined);
     if (!isSkinned || vertices * 3 !== open.rest.length) return;
-    puppet = new Puppet(file, tree);
+    puppet = new Puppet(file, tree, open.session.origin);
     clip = own;
     hasComparison.value = true;
   } catch {

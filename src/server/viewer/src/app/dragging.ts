@@ -9,6 +9,7 @@ import { keepDocument } from "./opening.ts";
 import { frameEncoding } from "./packing.ts";
 import { refreshHistory, remember } from "./past.ts";
 import * as s from "./signals.ts";
+import { origin } from "./space.ts";
 import { allAnswered, committing } from "./steps.ts";
 import { view } from "./view.ts";
 
@@ -103,7 +104,7 @@ function pivotOf(id: string): HandleState["pivot"] {
 /** Shows a handle at a pose; the newest wins. */
 export function dragTo(id: string, pose: HandlePose): void {
   setPose(id, pose);
-  pending = [entryOf({ id, pose, pivot: pivotOf(id) })];
+  pending = [entryOf({ id, pose, pivot: pivotOf(id) }, origin())];
   givenUp = false;
   view().stage.request();
 }
@@ -121,7 +122,7 @@ export async function giveUpDrag(id: string, pose: HandlePose): Promise<void> {
   givenUp = true;
   dragTurns = new Map();
   // The stream's next commit records what was dragged on it: this is.
-  current.pose([entryOf({ id, pose, pivot: pivotOf(id) })]);
+  current.pose([entryOf({ id, pose, pivot: pivotOf(id) }, origin())]);
   try {
     await allAnswered();
     const positions = await open.session.positions();
@@ -157,7 +158,7 @@ async function recordPoses(ids: readonly string[]): Promise<void> {
   const { refineDragging, refineCommit } = s.settings.peek();
   const differs = refineDragging !== refineCommit && draggingOptions().refine !== undefined;
   if (differs) current.setOptions(solveOptions(refineCommit));
-  const recorded = current.commit(poses.map(entryOf));
+  const recorded = current.commit(poses.map((posed) => entryOf(posed, origin())));
   if (differs) current.setOptions(draggingOptions());
   s.recording.value += 1;
   // Before the answer, which a server that ends now does not give.

@@ -10,6 +10,7 @@ import { holdBeforeEdits, holdRest, keepDocument, reload } from "./opening.ts";
 import { refreshHistory, remember } from "./past.ts";
 import { repaint } from "./painting.ts";
 import * as s from "./signals.ts";
+import { origin } from "./space.ts";
 import { beginHere, committing } from "./steps.ts";
 
 export interface CutChoice {
@@ -19,8 +20,10 @@ export interface CutChoice {
 
 /** Cuts along the plane that is shown. */
 export async function cut({ keep, fill }: CutChoice): Promise<void> {
-  const plane = s.cutPlane.peek();
-  if (plane === undefined) return;
+  const shown = s.cutPlane.peek();
+  if (shown === undefined) return;
+  const along = origin().reduce((sum, value, k) => sum + value * (shown.normal[k] ?? 0), 0);
+  const plane = { ...shown, offset: shown.offset + along };
   await edit("Cutting", {
     operation: { case: "cut", value: { plane, keep: schema.EditRequest_Cut_Keep[keep], fill } },
   });

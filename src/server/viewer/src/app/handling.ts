@@ -9,6 +9,7 @@ import { bringBack } from "./intermission.ts";
 import { OPENING_DEED } from "./leaving.ts";
 import { refreshHistory, remember } from "./past.ts";
 import * as s from "./signals.ts";
+import { origin, toPage } from "./space.ts";
 import { committing, didCommit } from "./steps.ts";
 
 type Facts = schema.Session;
@@ -47,7 +48,7 @@ export async function makeHandle(hold: Hold): Promise<void> {
     pose: AT_REST,
   };
   await changing(`${handle.name} made`, "The handle was not made", async () => {
-    const told = await open.session.putHandle(messageOf(handle));
+    const told = await open.session.putHandle(messageOf(handle, origin()));
     batch(() => {
       merge(told, [...s.handles.peek(), handle]);
       s.selection.value = new Uint8Array(s.selection.peek().length);
@@ -71,7 +72,7 @@ export async function changeHandle(id: string, change: Partial<HandleState>): Pr
   }
   const done = await changing(`${handle.name} changed`, "The handle was not changed", async () => {
     // The region stays as it is; of the rest, what the message leaves out is at its default.
-    const { region: _, ...message } = messageOf(handle);
+    const { region: _, ...message } = messageOf(handle, origin());
     const clear = CLEARABLE.filter((field) => message[field] === undefined || message[field] === false);
     const told = await open.session.putHandle(message, { clear });
     merge(told, s.handles.peek().map((h) => (h.id === id ? handle : h)));
@@ -98,7 +99,7 @@ export async function setAllHandles(wanted: readonly HandleState[]): Promise<voi
   if (open === undefined) return;
   const known = wanted.filter((handle) => handle.vertices !== undefined);
   const done = await changing(OPENING_DEED, "The handles were not set", async () => {
-    merge(await open.session.setHandles({ handles: known.map(messageOf) }), known);
+    merge(await open.session.setHandles({ handles: known.map((handle) => messageOf(handle, origin())) }), known);
   });
   s.activeId.value = known.findLast(({ hold }) => hold !== "pin")?.id;
   if (done && known.some(({ pose }) => !isAtRest(pose))) await commitPoses(known.map(({ id }) => id));
@@ -114,7 +115,7 @@ export async function keepHardParts(stiff: boolean): Promise<void> {
     return;
   }
   const done = await changing(stiff ? "Hard parts stiff" : "All parts soft", "Nothing was changed", async () => {
-    merge(await open.session.setHandles({ handles: known.map(messageOf), ...(stiff ? { stiff: { auto: true } } : {}) }), known);
+    merge(await open.session.setHandles({ handles: known.map((handle) => messageOf(handle, origin())), ...(stiff ? { stiff: { auto: true } } : {}) }), known);
   });
   if (!done) return;
   if (stiff && s.facts.peek()?.solver?.stiffParts === 0) s.note("info", "No hard parts", "Nothing of the model looks like one, or handles hold them.");
@@ -126,7 +127,8 @@ export function asItLies({ id, pose, pivot }: HandleState): HandleState["pose"] 
   const turn = pose.freely ? s.foundTurns.peek().get(id) : undefined;
   if (turn === undefined) return { ...pose, freely: false };
   const [x, y, z] = s.facts.peek()?.handles.find((handle) => handle.id === id)?.centroid ?? [];
-  return heldPose(pose, turn, pivot, [x ?? pivot[0], y ?? pivot[1], z ?? pivot[2]]);
+  const middle = x === undefined || y === undefined || z === undefined ? pivot : toPage([x, y, z]);
+  return heldPose(pose, turn, pivot, middle);
 }
 
 /** Sets the pose of a handle from numbers rather than from the gizmo. */
@@ -139,7 +141,7 @@ export async function poseHandle(id: string, pose: HandleState["pose"]): Promise
 export function adoptHandles(facts: Facts, known: readonly HandleState[] = []): void {
   const told = (handle: HandleState): HandleState => {
     const its = facts.handles.find(({ id }) => id === handle.id);
-    return its === undefined ? handle : { ...handle, pose: poseOf(its.pose, handle.pivot, handle.pose) };
+    return its === undefined ? handle : { ...handle, pose: poseOf(its.pose, handle.pivot, origin(), handle.pose) };
   };
   merge(facts, known.map(told));
   const active = s.activeId.peek();
@@ -202,13 +204,13 @@ function merge(facts: Facts, known: readonly HandleState[]): void {
   s.foundTurns.value = new Map(facts.handles.flatMap(({ id, foundTurn: [x, y, z] }) => (x === undefined || y === undefined || z === undefined ? [] : [[id, [x, y, z]]])));
   s.handles.value = facts.handles.map((told, k) => {
     const pivot = pivotOf(told);
-    const own = known.find(({ id }) => id === told.id) ?? { ...unknown(told.id, k), pivot, pose: poseOf(told.pose, pivot) };
+    const own = known.find(({ id }) => id === told.id) ?? { ...unknown(told.id, k), pivot, pose: poseOf(told.pose, pivot, origin()) };
     return { ...own, count: told.vertices, pivot: isAtRest(own.pose) ? pivot : own.pivot };
   });
 }
 
 function pivotOf({ pivot: [x, y, z] }: HandleFacts): Vector {
-  return [x ?? 0, y ?? 0, z ?? 0];
+  return toPage([x ?? 0, y ?? 0, z ?? 0]);
 }
 
 /** A handle of which only the name is known. */

@@ -87,7 +87,7 @@ async function begin(): Promise<boolean> {
     const found = await exported(open.session, companions);
     // The model may have been edited or closed meanwhile.
     if (found === undefined || view().stage.surface !== surface || s.currentRevision.peek() !== revision || s.dragging.peek()) return false;
-    const puppet = new Puppet(found.file, found.tree);
+    const puppet = new Puppet(found.file, found.tree, open.session.origin);
     putAside("clip", surface, () => {
       act = undefined;
       playing.value = undefined;

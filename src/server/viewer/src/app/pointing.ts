@@ -3,6 +3,7 @@
 import { Vector3 } from "three";
 import type { Place } from "../model/warnings.ts";
 import * as s from "./signals.ts";
+import { toPage } from "./space.ts";
 import { view } from "./view.ts";
 
 /** How much of the model's diagonal is seen around a place. */
@@ -15,7 +16,7 @@ export function showPlace(place: Place): void {
   const open = s.doc.peek();
   if (surface === undefined || open === undefined) return;
   // Vertices are where the shape is now; a point is told at rest.
-  const at = "vertex" in place ? new Vector3().fromArray(surface.positions, place.vertex * 3) : new Vector3(...place.point);
+  const at = "vertex" in place ? new Vector3().fromArray(surface.positions, place.vertex * 3) : new Vector3(...toPage([place.point[0], place.point[1], place.point[2]]));
   if (![at.x, at.y, at.z].every(Number.isFinite)) return;
   stage.lookAt(at, open.report.diagonal * AROUND, "vertex" in place ? surface.normalOf(place.vertex) : undefined);
   pointer.show(at);

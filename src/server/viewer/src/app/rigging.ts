@@ -11,6 +11,7 @@ import { firstFrames } from "../model/recording.ts";
 import type { ClipSource } from "./animating.ts";
 import { bringBack, onScreen, putAside } from "./intermission.ts";
 import * as s from "./signals.ts";
+import { toModel, toPage } from "./space.ts";
 import { view } from "./view.ts";
 
 /** A joint on the page. */
@@ -108,7 +109,9 @@ export function closeRig(): void {
 async function make(bvh: Blob | undefined): Promise<schema.MakeRigResponse> {
   const open = s.doc.peek();
   if (open === undefined) throw new Error("no model is open");
-  return open.session.makeRig({ joints: corrections(), ...(bvh !== undefined && { bvh: await firstFrames(bvh) }) });
+  return open.session.makeRig({
+    joints: Object.fromEntries(Object.entries(corrections()).map(([name, at]) => [name, toModel(at)])),
+    ...(bvh !== undefined && { bvh: await firstFrames(bvh) }) });
 }
 
 async function found(source: ClipSource, quietly = false): Promise<Rigging | undefined> {
@@ -119,7 +122,7 @@ async function found(source: ClipSource, quietly = false): Promise<Rigging | und
     const joints = answer.joints.map(({ name, at: [x = 0, y = 0, z = 0], score, doubtful, reason }): RigJoint => {
       // It may have been put there after the server was asked.
       const { [name]: own } = corrections();
-      return own === undefined ? { name, score, doubtful, reason, at: [x, y, z], given: false } : { name, score: 1, doubtful: false, reason: "", at: own, given: true };
+      return own === undefined ? { name, score, doubtful, reason, at: toPage([x, y, z]), given: false } : { name, score: 1, doubtful: false, reason: "", at: own, given: true };
     });
     return { source, joints, bones: bonesOf(rig), rig, own: false, movable: answer.source !== "skin" };
   } catch (error) {
@@ -133,7 +136,7 @@ async function found(source: ClipSource, quietly = false): Promise<Rigging | und
 function ofFile(source: ClipSource, rig: RigFile): Rigging | undefined {
   const joints = Object.entries(rig.joints ?? {}).map(([name, place]) => {
     const [x = 0, y = 0, z = 0] = Array.isArray(place) ? place : place.at;
-    return { name, at: [x, y, z] as const, score: undefined, doubtful: false, reason: "", given: false };
+    return { name, at: toPage([x, y, z]), score: undefined, doubtful: false, reason: "", given: false };
   });
   return joints.length === 0 ? undefined : { source, joints, bones: bonesOf(rig), rig, own: true, movable: true };
 }
@@ -159,7 +162,7 @@ async function dropped(name: string): Promise<void> {
   const joint = shown?.joints.find((own) => own.name === name);
   if (shown === undefined || joint === undefined || !joint.given) return;
   if (shown.own) {
-    const rig = { ...shown.rig, joints: { ...shown.rig.joints, [name]: { at: [...joint.at] } } };
+    const rig = { ...shown.rig, joints: { ...shown.rig.joints, [name]: { at: [...toModel(joint.at)] } } };
     rigging.value = { ...shown, rig };
     return;
   }

@@ -1,5 +1,8 @@
 /** The frames of an animation as the page keeps them, and how much room they take. */
 
+import type { Vector } from "pliant-client";
+import { rotated } from "./handles.ts";
+
 /** Where the root bone has carried the model: a point p of the frame is at rotation p + translation. */
 export interface RootMotion {
   readonly translation: readonly number[];
@@ -46,6 +49,14 @@ export function frameAt(frames: readonly FilmFrame[], seconds: number): number {
 export function frameSeconds(frames: readonly FilmFrame[]): number {
   const [first, last] = [frames[0], frames.at(-1)];
   return first === undefined || last === undefined || frames.length < 2 ? 0 : (last.time - first.time) / (frames.length - 1);
+}
+
+/** A motion of places that are relative to `origin`. */
+export function around([ox, oy, oz]: Vector, { translation, rotation }: RootMotion): RootMotion {
+  const [x = 0, y = 0, z = 0, w = 1] = rotation;
+  const [tx, ty, tz] = rotated([x, y, z, w], [ox, oy, oz]);
+  const [dx = 0, dy = 0, dz = 0] = translation;
+  return { translation: [tx + dx - ox, ty + dy - oy, tz + dz - oz], rotation };
 }
 
 /** Writes positions where a motion carries them; `out` may be the same list. */

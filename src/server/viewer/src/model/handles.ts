@@ -68,7 +68,7 @@ export function colourOf({ hold, hue }: Pick<HandleState, "hold" | "hue">): read
 }
 
 /** The handle as a schema message. Without a known region it has only the other fields. */
-export function messageOf(handle: HandleState): Handle & { id: string } {
+export function messageOf(handle: HandleState, origin: Vector): Handle & { id: string } {
   const { position, rotation, scale } = handle.constrains;
   const all = position && rotation && scale;
   const constrains = [
@@ -85,19 +85,19 @@ export function messageOf(handle: HandleState): Handle & { id: string } {
       ? { falloff: { radius: handle.falloff.radius, kind: schema.Falloff_Kind[handle.falloff.kind] } }
       : {}),
     rigid: handle.rigid,
-    ...(isAtRest(handle.pose) ? {} : { pose: poseMessage(handle) }),
+    ...(isAtRest(handle.pose) ? {} : { pose: poseMessage(handle, origin) }),
   };
 }
 
 /** Its pose in the schema's words. */
-export function entryOf(handle: Pick<HandleState, "id" | "pose" | "pivot">): PoseEntry {
-  return { id: handle.id, pose: poseMessage(handle) };
+export function entryOf(handle: Pick<HandleState, "id" | "pose" | "pivot">, origin: Vector): PoseEntry {
+  return { id: handle.id, pose: poseMessage(handle, origin) };
 }
 
 /** The pivot is said, because the server's default depends on all handles, and these come and go; what turns freely is held by its middle. */
-function poseMessage({ pose, pivot }: Pick<HandleState, "pose" | "pivot">): NonNullable<PoseEntry["pose"]> {
+function poseMessage({ pose, pivot: [x, y, z] }: Pick<HandleState, "pose" | "pivot">, [ox, oy, oz]: Vector): NonNullable<PoseEntry["pose"]> {
   const { translation, rotation, scale, freely } = pose;
-  const turn = freely ? { freeRotation: true } : { pivot: [...pivot] };
+  const turn = freely ? { freeRotation: true } : { pivot: [x + ox, y + oy, z + oz] };
   return { translation: [...translation], rotationVector: [...rotation], scale: [...scale], ...turn };
 }
 
@@ -105,7 +105,7 @@ function poseMessage({ pose, pivot }: Pick<HandleState, "pose" | "pivot">): NonN
  * A pose from the server, about the handle's pivot as the page has it. Fields that the server omits have rest
  * values. Of equivalent rotations, it is the one nearest to `before`, so that turns are kept.
  */
-export function poseOf(told: schema.HandlePose | undefined, own: Vector, before: HandlePose = AT_REST): HandlePose {
+export function poseOf(told: schema.HandlePose | undefined, own: Vector, [ox, oy, oz]: Vector, before: HandlePose = AT_REST): HandlePose {
   if (told === undefined) return AT_REST;
   const [x, y, z, w] = told.rotation;
   const rotation =
@@ -115,8 +115,8 @@ export function poseOf(told: schema.HandlePose | undefined, own: Vector, before:
   const [size] = told.scale;
   const scale: Vector = told.scale.length === 1 && size !== undefined ? [size, size, size] : vectorOf(told.scale, AT_REST.scale);
   const translation = vectorOf(told.translation, AT_REST.translation);
-  const pivot = vectorOf(told.pivot, own);
-  const away: Vector = [pivot[0] - own[0], pivot[1] - own[1], pivot[2] - own[2]];
+  const pivot = vectorOf(told.pivot, [own[0] + ox, own[1] + oy, own[2] + oz]);
+  const away: Vector = [pivot[0] - ox - own[0], pivot[1] - oy - own[1], pivot[2] - oz - own[2]];
   const turned = rotated(quaternionOf(rotation), [away[0] * scale[0], away[1] * scale[1], away[2] * scale[2]]);
   return {
     translation: [translation[0] + away[0] - turned[0], translation[1] + away[1] - turned[1], translation[2] + away[2] - turned[2]],
@@ -155,7 +155,7 @@ function vectorOf(numbers: readonly number[], otherwise: Vector): Vector {
 }
 
 /** v + 2w(q × v) + 2q × (q × v). */
-function rotated([x, y, z, w]: Quaternion, v: Vector): Vector {
+export function rotated([x, y, z, w]: Quaternion, v: Vector): Vector {
   const cross = (b: Vector): Vector => [y * b[2] - z * b[1], z * b[0] - x * b[2], x * b[1] - y * b[0]];
   const once = cross(v);
   const twice = cross(once);

@@ -5,11 +5,11 @@
  * writes afresh: PLY, or GLB for models that came as PLY and would come back in their own form.
  */
 
-import type { Session } from "pliant-client";
+import type { Session, Vector } from "pliant-client";
 
 /** The surface that is drawn. */
 export interface Topology {
-  /** x, y, z per render vertex. */
+  /** x, y, z per render vertex, relative to the session's origin. */
   readonly positions: Float32Array<ArrayBuffer>;
   /** Normals, when the model has one for every vertex. */
   readonly normals: Float32Array<ArrayBuffer> | undefined;
@@ -22,7 +22,7 @@ export async function loadTopology(session: Session, signal?: AbortSignal): Prom
   const format = session.facts.model?.format === "ply" ? "glb" : "ply";
   const blob = await session.model(format, signal ? { signal } : {});
   const bytes = await blob.arrayBuffer();
-  const topology = format === "ply" ? readPly(bytes) : readGlb(bytes);
+  const topology = format === "ply" ? readPly(bytes, session.origin) : readGlb(bytes, session.origin);
   const told = session.facts.model?.vertices ?? 0;
   const seen = topology.positions.length / 3;
   if (seen !== told) {
@@ -34,7 +34,7 @@ export async function loadTopology(session: Session, signal?: AbortSignal): Prom
 const SIZES: Record<string, number> = { double: 8, float: 4, uint: 4, int: 4, ushort: 2, short: 2, uchar: 1, char: 1 };
 
 /** Reads the binary PLY that the server writes: scalar vertex properties, one index list per face. */
-export function readPly(bytes: ArrayBuffer): Topology {
+export function readPly(bytes: ArrayBuffer, origin: Vector): Topology {
   const head = new TextDecoder("latin1").decode(bytes.slice(0, 4096));
   const end = head.indexOf("end_header\n");
   if (!head.startsWith("ply\n") || end < 0 || !head.includes("format binary_little_endian")) {
@@ -58,19 +58,20 @@ export function readPly(bytes: ArrayBuffer): Topology {
   }
   const start = end + "end_header\n".length;
   const view = new DataView(bytes, start);
-  const column = (names: readonly string[]): Float32Array<ArrayBuffer> | undefined => {
+  const column = (names: readonly string[], base: Vector): Float32Array<ArrayBuffer> | undefined => {
     const places = names.map((name) => offsets.get(name));
     if (places.some((place) => place === undefined)) return undefined;
     const out = new Float32Array(vertices * 3);
     places.forEach((place, c) => {
       const { at, type } = place as { at: number; type: string };
       for (let v = 0, from = at; v < vertices; v++, from += stride) {
-        out[v * 3 + c] = type === "double" ? view.getFloat64(from, true) : view.getFloat32(from, true);
+        const value = type === "double" ? view.getFloat64(from, true) : view.getFloat32(from, true);
+        out[v * 3 + c] = value - (base[c] as number);
       }
     });
     return out;
   };
-  const positions = column(["x", "y", "z"]);
+  const positions = column(["x", "y", "z"], origin);
   if (positions === undefined) throw new Error("the server sent a PLY file without positions");
   const indices = new Uint32Array(faces * 3);
   let at = vertices * stride;
@@ -81,7 +82,7 @@ export function readPly(bytes: ArrayBuffer): Topology {
     indices[f * 3 + 2] = view.getUint32(at + 9, true);
     at += 13;
   }
-  return { positions, normals: column(["nx", "ny", "nz"]), indices };
+  return { positions, normals: column(["nx", "ny", "nz"], [0, 0, 0]), indices };
 }
 
 interface Accessor {
@@ -93,11 +94,12 @@ interface Accessor {
 interface Document {
   accessors: Accessor[];
   bufferViews: { byteOffset?: number }[];
+  nodes?: { mesh?: number; translation?: number[] }[];
   meshes: { primitives: { attributes: Record<string, number>; indices?: number }[] }[];
 }
 
 /** Reads the GLB that the server writes afresh: tightly packed floats and indices in one buffer. */
-export function readGlb(bytes: ArrayBuffer): Topology {
+export function readGlb(bytes: ArrayBuffer, origin: Vector): Topology {
   const view = new DataView(bytes);
   if (view.getUint32(0, true) !== 0x46546c67) throw new Error("the server did not send a GLB file");
   const jsonLength = view.getUint32(12, true);
@@ -110,14 +112,19 @@ export function readGlb(bytes: ArrayBuffer): Topology {
     if (accessor === undefined) throw new Error("the server sent a GLB file without triangles");
     return accessor;
   };
-  const primitives = document.meshes.flatMap((mesh) => mesh.primitives);
+  // Far from the origin the nodes of meshes have a translation.
+  const placed = document.meshes.flatMap((mesh, k) => {
+    const { translation = [0, 0, 0] } = document.nodes?.find((node) => node.mesh === k) ?? {};
+    return mesh.primitives.map((primitive) => ({ primitive, away: translation.map((value, c) => value - (origin[c] ?? 0)) }));
+  });
   const positions: Float32Array[] = [];
   const normals: Float32Array[] = [];
   const indices: Uint32Array[] = [];
   let first = 0;
-  for (const primitive of primitives) {
+  for (const { primitive, away } of placed) {
     const position = at(primitive.attributes["POSITION"]);
-    positions.push(new Float32Array(bytes.slice(place(position), place(position) + position.count * 12)));
+    const own = new Float32Array(bytes.slice(place(position), place(position) + position.count * 12));
+    positions.push(own.map((value, k) => value + (away[k % 3] ?? 0)));
     if (primitive.attributes["NORMAL"] !== undefined) {
       const normal = at(primitive.attributes["NORMAL"]);
       normals.push(new Float32Array(bytes.slice(place(normal), place(normal) + normal.count * 12)));
@@ -134,7 +141,7 @@ export function readGlb(bytes: ArrayBuffer): Topology {
     );
     first += position.count;
   }
-  const whole = normals.length === primitives.length ? joined(normals) : undefined;
+  const whole = normals.length === placed.length ? joined(normals) : undefined;
   return { positions: joined(positions), normals: whole, indices: joinedIndices(indices) };
 }
 

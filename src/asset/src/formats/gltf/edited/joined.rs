@@ -10,6 +10,7 @@
 use super::super::builder::{AccessorKind, BufferBuilder};
 use super::super::container::GltfFault;
 use super::super::document::GltfDocument;
+use super::super::fresh::translation_to;
 use super::super::read::GltfNotes;
 use super::super::scene;
 use super::super::targets::TargetTally;
@@ -23,6 +24,7 @@ use crate::edited::{EditedModel, PrimitiveRun};
 use crate::neutral::NeutralModel;
 use crate::{Error, FileSet};
 use glam::{DAffine3, DVec3};
+use pliant_mesh::BoundingBox;
 use std::collections::BTreeMap;
 
 /// Joins all bases but the first. `maker` has made the primitives of the first, `files` are that one's.
@@ -118,6 +120,7 @@ impl<'a> BaseJoiner<'_, 'a> {
                         turns: self.turns,
                         tally: &mut *self.tally,
                         dropped: Default::default(),
+                        rounded: None,
                     };
                     let row = &notes.rows[run.primitive as usize];
                     let space = MeshSpace::OfNode(world_from_root * root_from_mesh);
@@ -189,6 +192,7 @@ impl<'a> BaseJoiner<'_, 'a> {
             geometry, uv, colours, ..
         } = neutral;
         let root = self.add_root(&name_of(&self.edited.bases[base].model.files, base), None);
+        let origin = BoundingBox::of(&geometry.positions).origin();
         let mut children = Vec::new();
         for own in neutral.primitives() {
             let (primitive, part, range) = (own.primitive, own.attributes, own.vertices);
@@ -202,7 +206,7 @@ impl<'a> BaseJoiner<'_, 'a> {
                 made.attributes.insert(name.into(), at);
             };
             let positions = geometry.positions[range.clone()].iter();
-            let positions: Vec<f32> = positions.flat_map(|p| p.as_vec3().to_array()).collect();
+            let positions: Vec<f32> = positions.flat_map(|p| (*p - origin).as_vec3().to_array()).collect();
             if positions.iter().any(|v| !v.is_finite()) {
                 return Err(self.fault.unwritable("a position is beyond 32-bit floats"));
             }
@@ -232,12 +236,9 @@ impl<'a> BaseJoiner<'_, 'a> {
             self.joined
                 .meshes
                 .push(json_object([("primitives", json_array(&primitives))]));
-            let name = if primitive.name.is_empty() {
-                "{}".into()
-            } else {
-                json_object([("name", quoted(&primitive.name))])
-            };
-            children.push(self.add_node(name, Some(self.joined.meshes.len() - 1)));
+            let name = (!primitive.name.is_empty()).then(|| ("name", quoted(&primitive.name)));
+            let node = json_object(name.into_iter().chain(translation_to(origin)));
+            children.push(self.add_node(node, Some(self.joined.meshes.len() - 1)));
         }
         self.set_children(root, &children);
         Ok(())

@@ -64,10 +64,12 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         turns: &turns,
         tally: &mut tally,
         dropped: BTreeSet::new(),
+        rounded: None,
     };
     let frame = frame::remake_meshes(&mut maker, notes, &own)?;
     let joined = joined::join_bases(&mut maker, notes.files(model), &frame, output)?;
     let dropped: Vec<&'static str> = std::mem::take(&mut maker.dropped).into_iter().collect();
+    let rounded = maker.rounded.take();
     let writer = EditedGltfWriter {
         doc: &doc,
         files: notes.files(model),
@@ -80,6 +82,7 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
     let mut written = writer.write(KeptData::of(&doc, &writer.frame))?;
     written.warnings.extend(dropped_extensions(&writer.dropped));
     written.warnings.extend(doubtful_extensions(&doc, true));
+    written.warnings.extend(rounded);
     let clips = writer.frame.animations.iter().flatten().map(String::as_str);
     super::rig::rewrite::finish(tree.as_ref(), written, output.format, &doc, clips, &tally)
 }

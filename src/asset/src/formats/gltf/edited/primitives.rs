@@ -15,6 +15,7 @@ use super::blended::{
 use crate::Error;
 use crate::codec::EditedOutput;
 use crate::edited::{CarriedAttributes, EditedModel, PrimitiveRun, VertexBlend};
+use crate::files::WrittenWarning;
 use crate::model::position_bits;
 use glam::{DAffine3, DVec3, Vec3, Vec4};
 use std::collections::BTreeSet;
@@ -53,6 +54,8 @@ pub(super) struct PrimitiveMaker<'a, 'f> {
     pub(super) tally: &'a mut TargetTally,
     /// Extensions that were left out of primitives and meshes, because what they name is gone.
     pub(super) dropped: BTreeSet<&'static str>,
+    /// By how much places are rounded, the first time that they are.
+    pub(super) rounded: Option<WrittenWarning>,
 }
 
 impl<'a> PrimitiveMaker<'a, '_> {
@@ -240,7 +243,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
     /// Positions of a run in the space of its mesh; where that space is the stored one, those that did not move are as
     /// they are stored.
     fn mesh_positions(
-        &self,
+        &mut self,
         run: &PrimitiveRun,
         row: &PlacedPrimitive,
         world_from_mesh: &VertexTransforms,
@@ -253,6 +256,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
         let mesh_from_world = world_from_mesh.inverse();
         let cannot_move = mesh_from_world.is_none() && primitive.mode() < 4;
         let mut values = Vec::with_capacity(run.vertex_count as usize * 3);
+        let mut all_in_mesh = Vec::with_capacity(run.vertex_count as usize);
         for (i, vertex) in run.vertices().enumerate() {
             let now = self.positions[vertex];
             if let VertexBlend::Vertex(old) = self.edited.blend(vertex)
@@ -268,12 +272,17 @@ impl<'a> PrimitiveMaker<'a, '_> {
                     row.node
                 )));
             };
-            let in_mesh = mesh_from_world.at(i).transform_point3(now).as_vec3();
+            let in_mesh = mesh_from_world.at(i).transform_point3(now);
+            all_in_mesh.push(in_mesh);
+            let in_mesh = in_mesh.as_vec3();
             if !in_mesh.is_finite() {
                 let problem = format!("the position {now} of vertex {vertex} is beyond 32-bit floats");
                 return Err(self.fault.unwritable(problem));
             }
             values.extend(in_mesh.to_array());
+        }
+        if self.rounded.is_none() {
+            self.rounded = WrittenWarning::rounded(&all_in_mesh, self.fault.0);
         }
         Ok(values)
     }

@@ -3,6 +3,7 @@
  * positions in the order of render vertices, so that what draws a pose also draws a clip.
  */
 
+import type { Vector } from "pliant-client";
 import { readNumbers } from "./accessors.ts";
 import { type Channel, channelsOf } from "./clips.ts";
 import { type GltfFile, type Item, itemAt, items, member } from "./file.ts";
@@ -53,6 +54,8 @@ export class Puppet {
   constructor(
     private readonly file: GltfFile,
     private readonly tree: SceneTree,
+    /** What the shape is written relative to. */
+    private readonly origin: Vector,
   ) {
     this.worlds = new Float64Array(tree.nodes.length * 16);
     let left = MOST_MORPH_NUMBERS;
@@ -170,7 +173,7 @@ export class Puppet {
       const at = (first + v) * 3;
       for (let row = 0; row < 3; row++) {
         const sum = (blend[row] as number) * x + (blend[4 + row] as number) * y + (blend[8 + row] as number) * z + (blend[12 + row] as number);
-        if (Number.isFinite(sum)) out[at + row] = sum;
+        if (Number.isFinite(sum)) out[at + row] = sum - (this.origin[row] as number);
       }
     }
   }
