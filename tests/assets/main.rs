@@ -1,5 +1,6 @@
 //! Files in and out: what survives a round trip, and what is refused.
 
+mod avatars;
 mod bones;
 mod bound;
 mod decoded_memory;

@@ -142,7 +142,9 @@ impl FormatCodec for GltfCodec {
         let clips = doc.items(&doc.animations);
         let mut written = rig::rewrite::finish(tree.as_ref(), written, format, &doc, clips, &tally)?;
         if !is_same(&model.geometry.positions, positions) {
-            written.warnings.extend(extensions::doubtful_extensions(&doc, false));
+            written
+                .warnings
+                .extend(extensions::doubtful_extensions(&doc, false, followers.rules.rig));
         }
         self_contained_if_new(written, model.format, format)
     }

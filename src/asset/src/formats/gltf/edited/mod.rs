@@ -79,7 +79,9 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
     };
     let mut written = writer.write(KeptData::of(&doc, &writer.frame))?;
     written.warnings.extend(dropped_extensions(&writer.dropped));
-    written.warnings.extend(doubtful_extensions(&doc, true));
+    written
+        .warnings
+        .extend(doubtful_extensions(&doc, true, output.followers.rules.rig));
     let clips = writer.frame.animations.iter().flatten().map(String::as_str);
     super::rig::rewrite::finish(tree.as_ref(), written, output.format, &doc, clips, &tally)
 }
