@@ -19,6 +19,7 @@ mod rigs;
 mod roundtrip_gltf;
 mod roundtrip_text;
 mod skin_weights;
+mod skinned_merges;
 mod skins;
 #[path = "../support/mod.rs"]
 mod support;

@@ -201,7 +201,7 @@ pub(super) fn beyond_conversion(doc: &GltfDocument<'_>, is_merged: bool) -> Vec<
     let targets = primitives().map(|p| p.targets.len()).sum::<usize>();
     let drawn = primitives().filter(|p| p.mode() < 4 && !is_merged).count();
     let mut found: Vec<String> = [
-        counted(doc.skins.len(), "skin", "skins"),
+        counted(if is_merged { 0 } else { doc.skins.len() }, "skin", "skins"),
         counted(doc.animations.len(), "animation", "animations"),
         counted(if is_merged { 0 } else { targets }, "morph target", "morph targets"),
         counted(listed("cameras"), "camera", "cameras"),

@@ -9,7 +9,9 @@ use super::super::builder::json_floats;
 use super::super::document::GltfDocument;
 use super::super::placement::{SkinPose, invert};
 use super::super::scene::PlacedScene;
-use super::super::text::{JsonEdits, index_of, json_object, list_of, string_of, value_at, value_of};
+use super::super::text::{
+    JsonEdits, index_of, json_array, json_object, list_of, string_of, value_at, value_of, with_member,
+};
 use super::SkinnedShape;
 use super::motions::fits_at;
 use super::nodes::MovedNodes;
@@ -40,6 +42,30 @@ pub(in super::super) fn is_vrm0(doc: &GltfDocument<'_>) -> bool {
 /// Whether a document is an avatar whose lengths may follow.
 pub(super) fn is_measured(doc: &GltfDocument<'_>) -> bool {
     MEASURED.iter().any(|name| extension(doc, name).is_some())
+}
+
+/// The extensions of a document with what VRM 0.x says of each material, for materials that are added behind its own: that they
+/// are drawn as glTF says. `None` for other documents.
+pub(in super::super) fn extensions_with_materials(doc: &GltfDocument<'_>, added: &[String]) -> Option<String> {
+    let vrm = extension(doc, MEASURED[0])?;
+    value_of(vrm, "materialProperties")?;
+    let plain = |text: &String| {
+        let name = value_of(text, "name").unwrap_or("\"\"");
+        json_object([
+            ("name", name),
+            ("shader", "\"VRM_USE_GLTFSHADER\""),
+            ("renderQueue", "2000"),
+            ("floatProperties", "{}"),
+            ("vectorProperties", "{}"),
+            ("textureProperties", "{}"),
+            ("keywordMap", "{}"),
+            ("tagMap", "{}"),
+        ])
+    };
+    let stored = list_of(vrm, "materialProperties").into_iter().map(str::to_owned);
+    let list = json_array(stored.chain(added.iter().map(plain)));
+    let vrm = with_member(vrm, "materialProperties", list);
+    Some(with_member(value_of(doc.text, "extensions")?, MEASURED[0], vrm))
 }
 
 /// How a point is written.

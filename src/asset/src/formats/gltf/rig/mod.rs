@@ -244,7 +244,7 @@ impl FollowedNodeTree {
     }
 }
 
-fn rounded_matrix(transform: &DAffine3) -> [f32; 16] {
+pub(super) fn rounded_matrix(transform: &DAffine3) -> [f32; 16] {
     let mut matrix = [0.0; 16];
     let m = &transform.matrix3;
     for (c, column) in [m.x_axis, m.y_axis, m.z_axis, transform.translation].iter().enumerate() {
@@ -255,6 +255,11 @@ fn rounded_matrix(transform: &DAffine3) -> [f32; 16] {
 }
 
 impl FollowedNodeTree {
+    /// Where every node is.
+    pub(super) fn world_from_node(&self) -> &[DAffine3] {
+        &self.nodes.world_from_node
+    }
+
     /// Adds the joints that moved to the counts of a file.
     pub(super) fn count_into(&self, doc: &GltfDocument<'_>, counts: &mut FollowedCounts) {
         let joints = joint_nodes(doc);
