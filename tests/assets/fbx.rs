@@ -1,8 +1,10 @@
 //! FBX files, which become GLBs. Their figures stand in the files that the tests make themselves.
 
 use crate::support::bench::largest_distance;
+use crate::support::data::{data_folder, files_below};
 use crate::support::fbx_text::{CUBE, CUBE_FACES, FbxText, bar, cube, shaped_cube};
 use crate::support::gltf_parsed::{Parsed, parse};
+use crate::support::khronos;
 use crate::support::shapes::bounds;
 use crate::support::skinning::{ClipTime, clip_length, draw, list};
 use glam::DVec3;
@@ -127,6 +129,51 @@ fn a_skin_stands_where_its_bones_stand_and_its_clip_turns_it() {
         (low.x - (0.4 - 1.5)).abs() < 1e-5 && (high.y - 1.6).abs() < 1e-5,
         "{low} {high}"
     );
+}
+
+#[test]
+fn joints_have_a_root_in_common_where_vertices_have_no_weights() {
+    let mut files = vec![("bar".to_owned(), bar().text().into_bytes())];
+    if let Some(data) = data_folder("FBX files of the data") {
+        let fbx = files_below(&data, |path| path.extension().is_some_and(|e| e == "fbx"));
+        files.extend(
+            fbx.iter()
+                .enumerate()
+                .map(|(n, path)| (n.to_string(), std::fs::read(path).expect("a file"))),
+        );
+    }
+    let folder = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("fbx");
+    let mut stored = Vec::new();
+    for (name, bytes) in files {
+        let model = read(bytes).expect("a model");
+        let nodes = list(&parsed(&model).json["nodes"]).to_vec();
+        for skin in list(&parsed(&model).json["skins"]) {
+            let above = |node: u64| {
+                (0..)
+                    .zip(&nodes)
+                    .find(|(_, n)| list(&n["children"]).contains(&node.into()))
+                    .map(|(n, _)| n)
+            };
+            let root = |joint: u64| std::iter::successors(Some(joint), |node| above(*node)).last();
+            let mut roots: Vec<_> = list(&skin["joints"])
+                .iter()
+                .map(|j| root(j.as_u64().expect("a node")))
+                .collect();
+            roots.dedup();
+            assert_eq!(roots.len(), 1, "{name}: {roots:?}");
+        }
+        let at = folder.join(name).with_extension("glb");
+        khronos::store(&model.write(&model.positions, Format::GLB).expect("writable"), &at);
+        stored.push(at);
+    }
+    // The node of a mesh is a joint itself there, so that it cannot be a root.
+    if let Some(found) = khronos::validate(&stored) {
+        let errors: Vec<_> = found
+            .iter()
+            .filter(|(_, codes)| codes.iter().any(|code| !code.starts_with("NODE_SKINNED_MESH")))
+            .collect();
+        assert!(errors.is_empty(), "{errors:#?}");
+    }
 }
 
 #[test]

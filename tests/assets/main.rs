@@ -1,5 +1,6 @@
 //! Files in and out: what survives a round trip, and what is refused.
 
+mod avatars;
 mod bones;
 mod bound;
 mod decoded_memory;
@@ -18,6 +19,7 @@ mod rigs;
 mod roundtrip_gltf;
 mod roundtrip_text;
 mod skin_weights;
+mod skinned_merges;
 mod skins;
 #[path = "../support/mod.rs"]
 mod support;

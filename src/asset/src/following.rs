@@ -16,9 +16,12 @@ pub enum MorphTargetRule {
 /// What becomes of skeletons.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum RigRule {
-    /// Joints move and turn with what they hold; inverse bind matrices and clips are made to fit.
+    /// Joints move and turn with what they hold; inverse bind matrices and clips are made to fit. In a VRM 0.x file, of which the
+    /// joints must not be turned, as [`RigRule::Move`].
     #[default]
     Follow,
+    /// As [`RigRule::Follow`], but joints keep their turns and move alone.
+    Move,
     /// They stay as they are stored.
     Keep,
 }

@@ -13,6 +13,8 @@ use std::hash::{Hash, Hasher};
 ///
 /// assert_eq!(Format::from_file_name("chair.PLY"), Some(Format::PLY));
 /// assert_eq!(Format::from_media_type("model/obj; charset=utf-8"), Some(Format::OBJ));
+/// // An avatar is a GLB by another name.
+/// assert_eq!(Format::from_file_name("person.vrm"), Some(Format::GLB));
 /// // The content identifies the format.
 /// assert_eq!(Format::from_bytes(b"OFF\n3 1 0\n"), Some(Format::OFF));
 /// assert_eq!(Format::from_bytes(b"<html>"), None);
@@ -25,6 +27,8 @@ pub struct Format(&'static FormatDetails);
 pub(super) struct FormatDetails {
     /// The name used in requests and as file extension, in lower case.
     pub name: &'static str,
+    /// Other names of the format and extensions of its files, in lower case.
+    pub aliases: &'static [&'static str],
     /// The registered or customary media type, then other ones that clients send.
     pub media_types: &'static [&'static str],
     /// Says how surely a file without its byte-order mark is of this format.

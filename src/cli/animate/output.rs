@@ -255,7 +255,7 @@ impl AnimationOutputArgs {
         let Some(name) = &self.format else {
             return Ok(Format::OBJ);
         };
-        let written = Format::ALL.into_iter().find(|format| format.name() == name);
+        let written = Format::from_name(name).filter(|format| format.refusal_to_write().is_none());
         written.ok_or_else(|| {
             let allowed = Format::name_list("and");
             CliFailure::Input(format!("--format is \"{name}\", allowed are {allowed}"))

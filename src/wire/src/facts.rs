@@ -179,6 +179,7 @@ pub(super) fn following(create: &pb::CreateOptions) -> Result<Following, Error> 
     let rig = match enumerated(create.rig, "rig")? {
         pb::create_options::rig::Rule::Follow => RigRule::Follow,
         pb::create_options::rig::Rule::Keep => RigRule::Keep,
+        pb::create_options::rig::Rule::Move => RigRule::Move,
     };
     let chains = &create.rigid_chains;
     let lengths = enumerated(create.bone_lengths, "boneLengths")?;

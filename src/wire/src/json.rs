@@ -281,7 +281,11 @@ mod tests {
     #[test]
     fn a_value_that_a_field_does_not_have_is_refused_with_those_that_it_has() {
         for (text, path, allowed) in [
-            (r#"{"create": {"rig": "KEP"}}"#, "create.rig", r#""FOLLOW", "KEEP""#),
+            (
+                r#"{"create": {"rig": "KEP"}}"#,
+                "create.rig",
+                r#""FOLLOW", "KEEP", "MOVE""#,
+            ),
             (
                 r#"{"create": {"boneLengths": "keep"}}"#,
                 "create.boneLengths",

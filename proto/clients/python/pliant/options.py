@@ -112,7 +112,7 @@ class NodePassenger(TypedDict):
 class CreateFields(TypedDict, total=False):
     """How a session is built from its model, all optional."""
 
-    #: "glb", "gltf", "obj", "ply", "off", "stl" or "fbx"; absent = recognised by the first bytes.
+    #: "glb" (or "vrm"), "gltf", "obj", "ply", "off", "stl" or "fbx"; absent = recognised by the first bytes.
     format: str
     volume_graph: Union[Literal["auto", "off", "required"], VolumeGraph]
     #: What happens to parts in which no handle lies.
@@ -132,7 +132,7 @@ class CreateFields(TypedDict, total=False):
     #: Whether morph targets of glTF turn and grow with the surface under them.
     morph_targets: Literal["follow", "keep"]
     #: Whether joints of skinned glTF move and turn with what they hold.
-    rig: Literal["follow", "keep"]
+    rig: Literal["follow", "keep", "move"]
     #: Whether bones become longer and shorter with the body, where joints follow.
     bone_lengths: Literal["follow", "keep"]
     #: Names of joints below which alone bones keep their lengths.

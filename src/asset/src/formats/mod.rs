@@ -12,6 +12,7 @@
 //!    ```text
 //!    pub(super) const FORMAT: Format = Format::new(&FormatDetails {
 //!        name: "tri",
+//!        aliases: &[],
 //!        media_types: &["model/x.tri"],
 //!        recognise: |bytes| Recognition::mark(bytes.starts_with(b"TRI1")),
 //!    });
@@ -141,9 +142,15 @@ impl Format {
         (!is_written).then(|| format!("{self} is read, not written; choose {}", Self::name_list("or")))
     }
 
-    /// The format of that name, in any case.
+    /// The format of that name, in any case; an avatar (`vrm`) is a GLB.
     pub fn from_name(name: &str) -> Option<Self> {
-        Self::READ.into_iter().find(|f| f.name().eq_ignore_ascii_case(name))
+        let goes_by = |format: &Self| {
+            let mut names = [format.name()]
+                .into_iter()
+                .chain(format.details().aliases.iter().copied());
+            names.any(|own| own.eq_ignore_ascii_case(name))
+        };
+        Self::READ.into_iter().find(goes_by)
     }
 
     /// The format of a media type, parameters ignored; `None` for general ones such as `application/octet-stream`.

@@ -32,8 +32,11 @@ pub(super) async fn model(call: SessionCall, uri: Uri, headers: HeaderMap) -> Re
     call.check_session().await?;
     let tenant = &call.caller.tenant;
     let mut found = parameters(&uri, &["format", "uri"])?;
-    let format = found.remove("format").map(|name| parse_format_name("format", &name));
-    let format = format.transpose()?;
+    let named = found.remove("format");
+    let format = named
+        .as_ref()
+        .map(|name| parse_format_name("format", name))
+        .transpose()?;
     let wanted = found.remove("uri").filter(|uri| !uri.is_empty());
     if wanted.is_none() && headers.contains_key(header::IF_NONE_MATCH) {
         let etag = call.manager.export_etag(tenant, &call.id, format).await?;
@@ -43,15 +46,20 @@ pub(super) async fn model(call: SessionCall, uri: Uri, headers: HeaderMap) -> Re
     }
     let exported = call.manager.export(tenant, &call.id, format).await?;
     match wanted {
-        None => main_file(&call.id, exported, &headers),
+        None => main_file(&call.id, named.as_deref(), exported, &headers),
         Some(uri) => companion(exported, &uri, &headers),
     }
 }
 
-/// The main file of an export.
-pub(super) fn main_file(id: &str, exported: ExportedModel, headers: &HeaderMap) -> Result<Response, Problem> {
+/// The main file of an export. `named`: what the caller calls its format.
+pub(super) fn main_file(
+    id: &str,
+    named: Option<&str>,
+    exported: ExportedModel,
+    headers: &HeaderMap,
+) -> Result<Response, Problem> {
     let ExportedModel { written, format, etag } = exported;
-    let file_name = format!("{id}.{format}");
+    let file_name = format!("{id}.{}", named.unwrap_or(format.name()).to_ascii_lowercase());
     let warnings = pliant_wire::written_warnings(&written).into_iter();
     let warnings: Vec<String> = warnings.map(|w| format!("{}: {}", w.code, w.message)).collect();
     let download = Download {

@@ -174,7 +174,7 @@ pub(super) async fn solve(call: SessionCall, request: Request) -> Result<Respons
         model => {
             let format = Format::from_media_type(model);
             let exported = call.manager.export(tenant, &call.id, format).await?;
-            models::main_file(&call.id, exported, &HeaderMap::new())?
+            models::main_file(&call.id, None, exported, &HeaderMap::new())?
         }
     };
     response.headers_mut().extend(facts);

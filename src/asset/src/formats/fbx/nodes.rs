@@ -93,8 +93,45 @@ impl SceneNodes {
                 problem: format!("{nodes} nodes, {meshes} meshes and no polygon that a node shows"),
             });
         }
+        made.join_skeletons();
         report_other_kinds(scene, notes);
         Ok(made)
+    }
+
+    /// Puts the roots of skins whose joints have no node above them in common below one new node: glTF wants one, and vertices
+    /// without weights follow the node of their mesh, which need not stand among the bones.
+    fn join_skeletons(&mut self) {
+        let mut parents: Vec<Option<usize>> = vec![None; self.nodes.len()];
+        for (parent, node) in self.nodes.iter().enumerate() {
+            for child in node["children"]
+                .as_array()
+                .into_iter()
+                .flatten()
+                .filter_map(Value::as_u64)
+            {
+                parents[child as usize] = Some(parent);
+            }
+        }
+        let root_of = |joint: u64| {
+            let mut node = joint as usize;
+            while let Some(parent) = parents[node] {
+                node = parent;
+            }
+            node as u32
+        };
+        let mut apart = BTreeSet::new();
+        for skin in &self.skins {
+            let joints = skin["joints"].as_array().into_iter().flatten();
+            let roots: BTreeSet<u32> = joints.filter_map(Value::as_u64).map(root_of).collect();
+            if roots.len() > 1 {
+                apart.extend(roots);
+            }
+        }
+        if !apart.is_empty() {
+            self.roots.retain(|root| !apart.contains(root));
+            self.roots.push(self.nodes.len() as u32);
+            self.nodes.push(json!({"name": "skeletons", "children": apart}));
+        }
     }
 
     /// The nodes with their names, places and children, and nothing else.

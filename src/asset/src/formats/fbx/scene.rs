@@ -193,6 +193,7 @@ pub(super) fn texture_names(files: &FileSet) -> Vec<String> {
 /// FBX, by what it is known.
 pub(in super::super) const FORMAT: Format = Format::new(&FormatDetails {
     name: "fbx",
+    aliases: &[],
     media_types: &["application/vnd.autodesk.fbx", "model/fbx", "application/fbx"],
     recognise: |bytes| {
         let begins = |mark: &[u8]| bytes.starts_with(mark);

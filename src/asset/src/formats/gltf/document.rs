@@ -14,6 +14,7 @@ use std::ops::{Deref, Range};
 /// Binary glTF, by what it is known.
 pub(in super::super) const GLB_FORMAT: Format = Format::new(&FormatDetails {
     name: "glb",
+    aliases: &["vrm"],
     media_types: &["model/gltf-binary"],
     recognise: |bytes| Recognition::mark(bytes.starts_with(b"glTF")),
 });
@@ -21,6 +22,7 @@ pub(in super::super) const GLB_FORMAT: Format = Format::new(&FormatDetails {
 /// glTF as JSON, by what it is known.
 pub(in super::super) const GLTF_FORMAT: Format = Format::new(&FormatDetails {
     name: "gltf",
+    aliases: &[],
     media_types: &["model/gltf+json"],
     recognise: |bytes| Recognition::mark(bytes.trim_ascii_start().starts_with(b"{")),
 });

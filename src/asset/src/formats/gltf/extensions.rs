@@ -1,16 +1,17 @@
 //! What becomes of each glTF extension: in one list, from which the table in `deploy/docs/formats.md` is made.
 
 use super::document::GltfDocument;
+use super::rig::avatar::MEASURED;
 use super::schema::DRACO;
 use super::text::{list_of, value_of};
-use crate::WrittenWarning;
 use crate::files::counted;
+use crate::{RigRule, WrittenWarning};
 use std::fmt::Write as _;
 
 /// What becomes of an extension when the shape of a model changes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum ExtensionFate {
-    /// It stays as it is stored, and what it names changes with the shape.
+    /// It stays as it is stored, and what it names changes with the shape; or its lengths do.
     Follows,
     /// pliant writes it again, or what it said in another way.
     Rewritten,
@@ -57,7 +58,7 @@ pub(super) const FEATURES: &str = "EXT_mesh_features";
 use ExtensionFate::{Doubtful, Dropped, Follows, Rewritten, Safe};
 
 /// All that are known; the last rule is that of every other. The first that fits holds.
-const RULES: [ExtensionRule; 28] = [
+const RULES: [ExtensionRule; 32] = [
     rule(DRACO, Rewritten, Rewritten, "changed primitives come back without it"),
     rule("EXT_meshopt_compression", Rewritten, Rewritten, "as plain floats"),
     rule("KHR_meshopt_compression", Rewritten, Rewritten, "as plain floats"),
@@ -102,7 +103,16 @@ const RULES: [ExtensionRule; 28] = [
     ),
     rule("CESIUM_RTC", Safe, Safe, ""),
     rule("VRMC_materials_*", Safe, Safe, ""),
-    rule("VRM*", Doubtful, Doubtful, "offsets and radii stay"),
+    rule(
+        "VRM",
+        Follows,
+        Follows,
+        "colliders, radii and offsets follow; joints move and do not turn",
+    ),
+    rule("VRMC_vrm", Follows, Follows, "the place of the eyes follows"),
+    rule("VRMC_springBone*", Follows, Follows, "colliders and radii follow"),
+    rule("VRMC_node_constraint*", Safe, Safe, "of nodes, whose numbers stay"),
+    rule("VRM*", Doubtful, Doubtful, ""),
     rule(
         "KHR_gaussian_splatting*",
         Doubtful,
@@ -142,10 +152,11 @@ pub(crate) fn extension_table() -> String {
 }
 
 /// What is said of extensions that stay in a file whose shape has changed, and may be wrong in it.
-pub(super) fn doubtful_extensions(doc: &GltfDocument<'_>, is_edited: bool) -> Option<WrittenWarning> {
+pub(super) fn doubtful_extensions(doc: &GltfDocument<'_>, is_edited: bool, rig: RigRule) -> Option<WrittenWarning> {
     let is_doubtful = |name: &&String| {
         let rule = rule_of(name);
-        (if is_edited { rule.edited } else { rule.posed }) == ExtensionFate::Doubtful
+        let stays_behind = rig == RigRule::Keep && MEASURED.contains(&name.as_str());
+        stays_behind || (if is_edited { rule.edited } else { rule.posed }) == ExtensionFate::Doubtful
     };
     let names: Vec<&str> = doc
         .extensions_used
@@ -190,7 +201,7 @@ pub(super) fn beyond_conversion(doc: &GltfDocument<'_>, is_merged: bool) -> Vec<
     let targets = primitives().map(|p| p.targets.len()).sum::<usize>();
     let drawn = primitives().filter(|p| p.mode() < 4 && !is_merged).count();
     let mut found: Vec<String> = [
-        counted(doc.skins.len(), "skin", "skins"),
+        counted(if is_merged { 0 } else { doc.skins.len() }, "skin", "skins"),
         counted(doc.animations.len(), "animation", "animations"),
         counted(if is_merged { 0 } else { targets }, "morph target", "morph targets"),
         counted(listed("cameras"), "camera", "cameras"),

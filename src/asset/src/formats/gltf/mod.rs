@@ -144,7 +144,9 @@ impl FormatCodec for GltfCodec {
         let clips = doc.items(&doc.animations);
         let mut written = rig::rewrite::finish(tree.as_ref(), written, format, &doc, clips, &tally)?;
         if !is_same(&model.geometry.positions, positions) {
-            written.warnings.extend(extensions::doubtful_extensions(&doc, false));
+            written
+                .warnings
+                .extend(extensions::doubtful_extensions(&doc, false, followers.rules.rig));
             let rounded = deformed::rounded_places(&doc, notes, positions, format)?;
             written.warnings.extend(rounded);
         }

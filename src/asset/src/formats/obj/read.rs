@@ -25,6 +25,7 @@ use std::collections::BTreeMap;
 /// The format, by what it is known.
 pub(in super::super) const FORMAT: Format = Format::new(&FormatDetails {
     name: "obj",
+    aliases: &[],
     media_types: &["model/obj"],
     recognise,
 });

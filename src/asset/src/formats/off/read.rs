@@ -17,6 +17,7 @@ use pliant_mesh::shading;
 /// The format, by what it is known.
 pub(in super::super) const FORMAT: Format = Format::new(&FormatDetails {
     name: "off",
+    aliases: &[],
     media_types: &["model/off"],
     recognise,
 });

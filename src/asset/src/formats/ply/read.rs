@@ -15,6 +15,7 @@ use std::collections::BTreeMap;
 /// The format, by what it is known.
 pub(in super::super) const FORMAT: Format = Format::new(&FormatDetails {
     name: "ply",
+    aliases: &[],
     media_types: &["model/ply"],
     recognise: |bytes| Recognition::mark(bytes.starts_with(b"ply\n") || bytes.starts_with(b"ply\r")),
 });

@@ -26,6 +26,7 @@ use std::sync::Arc;
 /// The format, by what it is known.
 pub(super) const FORMAT: Format = Format::new(&FormatDetails {
     name: "stl",
+    aliases: &[],
     media_types: &[
         "model/stl",
         "model/x.stl-binary",

@@ -341,6 +341,8 @@ pub(super) struct TargetBlender<'a> {
     world_from_old: VertexTransforms,
     /// Whether each vertex has a space of its own, old or new.
     is_skinned: bool,
+    /// Whether the space of displacements is another one than the stored one, even where nothing turned.
+    pub(super) is_respaced: bool,
     new_from_world: VertexTransforms,
 }
 
@@ -360,6 +362,7 @@ impl<'a> TargetBlender<'a> {
             placing: turns.edited.base(run).world_from_model.matrix3,
             world_from_old,
             is_skinned: matches!(placement, Placement::Blended(_)),
+            is_respaced: false,
             new_from_world: new_from_world.unwrap_or(VertexTransforms::Whole(DAffine3::IDENTITY)),
         }
     }
@@ -377,7 +380,7 @@ impl<'a> TargetBlender<'a> {
             let turn = self.turns[i];
             let blend = self.mixer.old_vertices(i);
             // Stored numbers of vertices that each have their own space cannot be blended as they are.
-            let is_mixed = self.is_skinned && (blend.len() > 1 || self.placing != DMat3::IDENTITY);
+            let is_mixed = self.is_respaced || self.is_skinned && (blend.len() > 1 || self.placing != DMat3::IDENTITY);
             if (turn.is_none() && !is_mixed) || *place == [0.0; 3] && blend.len() == 1 {
                 continue;
             }

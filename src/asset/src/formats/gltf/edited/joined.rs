@@ -4,14 +4,16 @@
 //! edited primitives use. Its hierarchy is flattened: every node that draws a mesh becomes a child of the new node.
 //! Where it has grown together with another base its vertices are written as they stand in the world, since those of two
 //! nodes would round apart and tear the joint.
-//! Skeletons, animations, cameras, lights and extensions that are not about materials stay behind. A base of another
+//! Where joints place them, [`skeletons`](super::skeletons) finds the joints, and the mesh becomes a root of the scene.
+//! Animations, cameras, lights and extensions that are not about materials stay behind. A base of another
 //! format comes as plain geometry.
 
 use super::super::builder::{AccessorKind, BufferBuilder};
 use super::super::container::GltfFault;
 use super::super::document::GltfDocument;
 use super::super::fresh::translation_to;
-use super::super::read::GltfNotes;
+use super::super::read::{GltfNotes, PlacedPrimitive};
+use super::super::rig::FollowedNodeTree;
 use super::super::scene;
 use super::super::targets::TargetTally;
 use super::super::text::{index_of, json_array, json_object, list_of, quoted, value_of, with_member};
@@ -19,6 +21,7 @@ use super::blended::{AccessorNumbers, EditedTurns};
 use super::frame::EditedMeshes;
 use super::looks::{CopyTarget, JoinedBases, MaterialCopier};
 use super::primitives::{MadePrimitive, MeshSpace, PrimitiveMaker};
+use super::skeletons::{FrameSkeleton, SkeletonJoiner, WrittenNode};
 use crate::codec::EditedOutput;
 use crate::edited::{EditedModel, PrimitiveRun};
 use crate::neutral::NeutralModel;
@@ -33,9 +36,14 @@ pub(super) fn join_bases(
     files: &FileSet,
     frame: &EditedMeshes,
     output: &EditedOutput<'_>,
+    tree: Option<&FollowedNodeTree>,
 ) -> Result<JoinedBases, Error> {
     let mut joined = JoinedBases::of_caps(output.edited);
     let EditedOutput { edited, positions, .. } = *output;
+    if edited.bases.len() < 2 {
+        return Ok(joined);
+    }
+    let skeleton = FrameSkeleton::new(maker.doc, tree)?;
     for (i, base) in edited.bases.iter().enumerate().skip(1) {
         let of_base = edited.runs.iter().filter(|run| run.base as usize == i);
         let own: Vec<&PrimitiveRun> = of_base.filter(|run| edited.is_drawn(run)).collect();
@@ -44,6 +52,7 @@ pub(super) fn join_bases(
         }
         let mut joiner = BaseJoiner {
             frame: maker.doc,
+            skeleton: &skeleton,
             edited,
             positions,
             fresh: &mut *maker.fresh,
@@ -64,6 +73,7 @@ pub(super) fn join_bases(
 
 struct BaseJoiner<'j, 'a> {
     frame: &'j GltfDocument<'j>,
+    skeleton: &'j FrameSkeleton,
     edited: &'a EditedModel<'a>,
     positions: &'a [DVec3],
     fresh: &'j mut BufferBuilder,
@@ -92,72 +102,53 @@ impl<'a> BaseJoiner<'_, 'a> {
         let grown = self.has_grown(base) && !notes.rows.iter().any(|row| has_targets(&doc, row.node, row.primitive));
         let node_for = |transform: &DAffine3| Some(transform).filter(|_| !grown).and_then(NodeTransform::from_affine);
         let placed = node_for(&placing);
-        let root = self.add_root(&name_of(&model.files, base), placed.as_ref());
+        let scene = scene::place_meshes(&doc, &mut Vec::new())?;
+        let mut skeleton = SkeletonJoiner::new(self.skeleton, &doc, &scene, placing);
+        let name = name_of(&model.files, base);
+        let skin_of = skins_of_nodes(notes, runs);
+        let needs_root = skin_of
+            .values()
+            .any(|skin| skin.is_none_or(|skin| !skeleton.has_all(skin)));
+        let root = needs_root.then(|| self.add_root(&name, placed.as_ref()));
         let world_from_root = placed.as_ref().map_or(DAffine3::IDENTITY, |p| p.transform);
         let mut palette = MaterialCopier::new(&doc, &model.files, first, base);
         let mut children = Vec::new();
-        for placement in scene::place_meshes(&doc, &mut Vec::new())?.placements {
+        for placement in &scene.placements {
             let mesh = doc.item(&doc.meshes, placement.mesh);
             // What a node cannot hold is left to the vertices.
             let root_from_mesh = match placed {
                 Some(_) => placement.world_from_mesh,
                 None => placing * placement.world_from_mesh,
             };
-            let here = node_for(&root_from_mesh);
+            let skin = skin_of.get(&placement.node).copied().flatten();
+            let here = node_for(&root_from_mesh).filter(|_| skin.is_none());
             let root_from_mesh = here.as_ref().map_or(DAffine3::IDENTITY, |p| p.transform);
+            let space = MeshSpace::OfNode(match skin {
+                Some(_) => DAffine3::IDENTITY,
+                None => world_from_root * root_from_mesh,
+            });
             let mut primitives = Vec::new();
             let stored = list_of(mesh, "primitives");
             for (p, stored) in stored.into_iter().enumerate() {
                 let runs = runs_of.get(&(placement.node, p)).map_or(&[][..], Vec::as_slice);
                 for &run in runs {
-                    let mut maker = PrimitiveMaker {
+                    let place = JoinedPlace {
                         doc: &doc,
-                        edited: self.edited,
-                        positions: self.positions,
-                        fresh: self.fresh,
-                        fault: self.fault,
-                        is_frame: false,
-                        turns: self.turns,
-                        tally: &mut *self.tally,
-                        dropped: Default::default(),
-                        rounded: None,
+                        row: &notes.rows[run.primitive as usize],
+                        stored,
+                        space,
+                        joins_skin: skin.is_some(),
+                        // Sheared meshes are written as they stand in the world, for which stored targets are not made.
+                        with_targets: here.is_some() || skin.is_some(),
                     };
-                    let row = &notes.rows[run.primitive as usize];
-                    let space = MeshSpace::OfNode(world_from_root * root_from_mesh);
-                    let made = maker.make_primitive(run, row, space)?;
-                    let own = list_of(self.frame.text, "materials").len();
-                    let material = match (self.edited.cap_number(run), index_of(stored, "material")) {
-                        (Some(cap), _) => Some(own + cap),
-                        (None, Some(m)) => {
-                            let mut to = CopyTarget {
-                                frame: self.frame,
-                                fresh: self.fresh,
-                                joined: self.joined,
-                            };
-                            palette.copy_material(m, &mut to)?
-                        }
-                        (None, None) => None,
-                    };
-                    // Sheared meshes are written as they stand in the world, for which stored targets are not made.
-                    let targets = here.is_some();
-                    primitives.extend(made.map(|made| primitive_text(&made, material, targets)));
+                    primitives.extend(self.join_primitive(run, &place, &mut palette)?);
                 }
             }
             if primitives.is_empty() {
                 continue;
             }
-            let mut text = json_object([("primitives", json_array(&primitives))]);
-            let keys = if here.is_some() || grown {
-                &["name", "weights", "extras"][..]
-            } else {
-                &["name"]
-            };
-            for key in keys {
-                if let Some(value) = value_of(mesh, key) {
-                    text = with_member(&text, key, value);
-                }
-            }
-            self.joined.meshes.push(text);
+            let is_whole = here.is_some() || skin.is_some() || grown;
+            self.joined.meshes.push(mesh_text(mesh, &primitives, is_whole));
             let mut node = "{}".to_owned();
             if let Some(name) = value_of(doc.item(&doc.nodes, placement.node), "name") {
                 node = with_member(&node, "name", name);
@@ -165,10 +156,61 @@ impl<'a> BaseJoiner<'_, 'a> {
             if let Some(here) = &here {
                 node = here.write_into_node(node);
             }
-            children.push(self.add_node(node, Some(self.joined.meshes.len() - 1)));
+            let mesh = self.joined.meshes.len() - 1;
+            let Some(skin) = skin else {
+                children.push(self.add_node(node, Some(mesh)));
+                continue;
+            };
+            let top = WrittenNode {
+                number: root.unwrap_or_default(),
+                world: world_from_root,
+            };
+            let skin = skeleton.join(skin, top, self.frame, self.fresh, self.joined);
+            let node = self.add_node(with_member(&node, "skin", skin), Some(mesh));
+            self.joined.roots.push(node);
         }
-        self.set_children(root, &children);
+        self.joined.warnings.extend(skeleton.warning(&name));
+        if let Some(root) = root {
+            self.set_children(root, &children);
+        }
         Ok(())
+    }
+
+    /// The text of a primitive, with its material; `None` where nothing of it is drawn.
+    fn join_primitive(
+        &mut self,
+        run: &'a PrimitiveRun,
+        place: &JoinedPlace<'_, '_>,
+        palette: &mut MaterialCopier<'_>,
+    ) -> Result<Option<String>, Error> {
+        let mut maker = PrimitiveMaker {
+            doc: place.doc,
+            edited: self.edited,
+            positions: self.positions,
+            fresh: self.fresh,
+            fault: self.fault,
+            is_frame: false,
+            joins_skin: place.joins_skin,
+            turns: self.turns,
+            tally: &mut *self.tally,
+            dropped: Default::default(),
+            rounded: None,
+        };
+        let made = maker.make_primitive(run, place.row, place.space)?;
+        let own = list_of(self.frame.text, "materials").len();
+        let material = match (self.edited.cap_number(run), index_of(place.stored, "material")) {
+            (Some(cap), _) => Some(own + cap),
+            (None, Some(m)) => {
+                let mut to = CopyTarget {
+                    frame: self.frame,
+                    fresh: self.fresh,
+                    joined: self.joined,
+                };
+                palette.copy_material(m, &mut to)?
+            }
+            (None, None) => None,
+        };
+        Ok(made.map(|made| primitive_text(&made, material, place.with_targets)))
     }
 
     /// Whether a vertex of the base stands where one of another base does.
@@ -265,6 +307,45 @@ impl<'a> BaseJoiner<'_, 'a> {
     }
 }
 
+/// Where a primitive comes from, and where it goes.
+struct JoinedPlace<'p, 'f> {
+    doc: &'p GltfDocument<'f>,
+    row: &'p PlacedPrimitive,
+    /// Its text.
+    stored: &'p str,
+    space: MeshSpace,
+    joins_skin: bool,
+    with_targets: bool,
+}
+
+/// The skin of each node that has runs; none where joints do not place all of them.
+fn skins_of_nodes(notes: &GltfNotes, runs: &[&PrimitiveRun]) -> BTreeMap<usize, Option<usize>> {
+    let mut skin_of: BTreeMap<usize, Option<usize>> = BTreeMap::new();
+    for run in runs {
+        let row = &notes.rows[run.primitive as usize];
+        let skin = row.skin.filter(|_| row.follows_joints);
+        let known = skin_of.entry(row.node).or_insert(skin);
+        *known = known.filter(|_| skin.is_some());
+    }
+    skin_of
+}
+
+/// A joined mesh with what else the stored one says; its name alone where it is not `whole`.
+fn mesh_text(stored: &str, primitives: &[String], whole: bool) -> String {
+    let mut text = json_object([("primitives", json_array(primitives))]);
+    let keys = if whole {
+        &["name", "weights", "extras"][..]
+    } else {
+        &["name"]
+    };
+    for key in keys {
+        if let Some(value) = value_of(stored, key) {
+            text = with_member(&text, key, value);
+        }
+    }
+    text
+}
+
 /// A primitive of a joined mesh.
 fn primitive_text(made: &MadePrimitive, material: Option<usize>, with_targets: bool) -> String {
     let mut members = vec![("attributes", json_object(&made.attributes))];
@@ -294,8 +375,8 @@ fn name_of(files: &FileSet, base: usize) -> String {
 }
 
 /// A transform as a node can have it, a product of translation, rotation and scale, and what is then exactly that.
-struct NodeTransform {
-    transform: DAffine3,
+pub(super) struct NodeTransform {
+    pub(super) transform: DAffine3,
     /// The members of the node.
     text: [(&'static str, String); 3],
 }
@@ -312,6 +393,14 @@ impl NodeTransform {
         if x.dot(y).abs().max(y.dot(z).abs()).max(z.dot(x).abs()) > 1e-6 {
             return None;
         }
+        Self::nearest(transform)
+    }
+
+    /// That without the shear of a transform; `None` for one that flattens.
+    pub(super) fn nearest(transform: &DAffine3) -> Option<Self> {
+        if transform.matrix3.determinant() == 0.0 {
+            return None;
+        }
         let (scale, rotation, translation) = transform.to_scale_rotation_translation();
         let rotation = rotation.normalize();
         let transform = DAffine3::from_scale_rotation_translation(scale, rotation, translation);
@@ -324,7 +413,7 @@ impl NodeTransform {
         transform.is_finite().then_some(Self { transform, text })
     }
 
-    fn write_into_node(&self, node: String) -> String {
+    pub(super) fn write_into_node(&self, node: String) -> String {
         if self.transform == DAffine3::IDENTITY {
             return node;
         }

@@ -10,7 +10,7 @@ use super::blended::{AttributeBlender, read};
 use crate::edited::{EditedModel, PrimitiveRun};
 use crate::look::{AlphaMode, BaseLook, MaterialPicture, NamedMaterial, inside_folder};
 use crate::neutral::{CAP_COLOUR, RunAttributes};
-use crate::{Error, FileSet};
+use crate::{Error, FileSet, WrittenWarning};
 use bytes::Bytes;
 use serde_json::{Map, Value};
 use std::collections::{BTreeMap, BTreeSet};
@@ -437,6 +437,10 @@ pub(super) struct JoinedBases {
     pub(super) nodes: Vec<(String, Option<usize>)>,
     /// The new nodes that the scene lists.
     pub(super) roots: Vec<usize>,
+    /// New children by the number of the node in the whole file.
+    pub(super) children: BTreeMap<usize, Vec<usize>>,
+    pub(super) skins: Vec<String>,
+    pub(super) warnings: Vec<WrittenWarning>,
     /// Materials, textures, samplers and images, by section.
     sections: BTreeMap<&'static str, Vec<JoinedItem>>,
     pub(super) extensions_used: Vec<String>,

@@ -10,6 +10,7 @@ mod joined;
 mod looks;
 mod named;
 mod primitives;
+mod skeletons;
 
 pub(super) use blended::distinguish_vertices;
 pub(super) use looks::run_attributes;
@@ -24,6 +25,7 @@ use super::patched::PatchedDocument;
 use super::read::GltfNotes;
 use super::references::{IN_ANIMATION, IN_IMAGE, IN_MESH, IN_NODE, IN_SKIN, ReferencePlaces};
 use super::rig::FollowedNodeTree;
+use super::rig::avatar::extensions_with_materials;
 use super::schema::MESHOPT;
 use super::stored::BufferOrigin;
 use super::targets::TargetTally;
@@ -61,13 +63,14 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         fresh: &mut fresh,
         fault,
         is_frame: true,
+        joins_skin: false,
         turns: &turns,
         tally: &mut tally,
         dropped: BTreeSet::new(),
         rounded: None,
     };
     let frame = frame::remake_meshes(&mut maker, notes, &own)?;
-    let joined = joined::join_bases(&mut maker, notes.files(model), &frame, output)?;
+    let joined = joined::join_bases(&mut maker, notes.files(model), &frame, output, tree.as_ref())?;
     let dropped: Vec<&'static str> = std::mem::take(&mut maker.dropped).into_iter().collect();
     let rounded = maker.rounded.take();
     let writer = EditedGltfWriter {
@@ -80,8 +83,11 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         fault,
     };
     let mut written = writer.write(KeptData::of(&doc, &writer.frame))?;
+    written.warnings.extend(writer.joined.warnings.iter().cloned());
     written.warnings.extend(dropped_extensions(&writer.dropped));
-    written.warnings.extend(doubtful_extensions(&doc, true));
+    written
+        .warnings
+        .extend(doubtful_extensions(&doc, true, output.followers.rules.rig));
     written.warnings.extend(rounded);
     let clips = writer.frame.animations.iter().flatten().map(String::as_str);
     super::rig::rewrite::finish(tree.as_ref(), written, output.format, &doc, clips, &tally)
@@ -131,12 +137,19 @@ impl EditedGltfWriter<'_> {
             });
         }
         nodes.extend(self.joined.node_texts(first_joined));
+        for (parent, more) in &self.joined.children {
+            let stored = list_of(&nodes[*parent], "children").into_iter().map(str::to_owned);
+            let children = json_array(stored.chain(more.iter().map(usize::to_string)));
+            nodes[*parent] = with_member(&nodes[*parent], "children", children);
+        }
 
         let mut sections = JsonSections::default();
         sections.set_list("meshes", &meshes);
         sections.set_list("nodes", &nodes);
-        if is_packed {
-            let skins = doc.items(&doc.skins);
+        if is_packed || !self.joined.skins.is_empty() {
+            let skins = doc
+                .items(&doc.skins)
+                .chain(self.joined.skins.iter().map(String::as_str));
             let skins: Vec<String> = skins.map(|text| renumber(text, &IN_SKIN)).collect();
             sections.set_list("skins", &skins);
         }
@@ -214,6 +227,11 @@ impl EditedGltfWriter<'_> {
         for key in ["materials", "textures", "samplers"] {
             let more = self.joined.item_texts(key, 0);
             if !more.is_empty() {
+                if key == "materials"
+                    && let Some(extensions) = extensions_with_materials(self.doc, &more)
+                {
+                    sections.set("extensions", extensions);
+                }
                 let stored = list_of(self.doc.text, key).into_iter().map(str::to_owned);
                 sections.set_list(key, &stored.chain(more).collect::<Vec<_>>());
             }

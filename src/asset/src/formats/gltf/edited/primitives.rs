@@ -49,6 +49,8 @@ pub(super) struct PrimitiveMaker<'a, 'f> {
     pub(super) fault: GltfFault,
     /// Whether accessors of the file may be named, because the file is the frame of the result.
     pub(super) is_frame: bool,
+    /// Whether joints of the result hold the vertices of another base, which are then written as they stand in the world.
+    pub(super) joins_skin: bool,
     /// How the surface turned around the vertices of the edited model, for morph targets.
     pub(super) turns: &'a EditedTurns<'a>,
     pub(super) tally: &'a mut TargetTally,
@@ -86,8 +88,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
         let mode = Some(primitive.mode()).filter(|mode| *mode < 4);
         let carried = CarriedAttributes::new(self.edited, run, self.positions);
         let mixer = AttributeBlender::new(self.edited, run);
-        // A merged model leaves its skeleton behind.
-        let skin = if self.is_frame && !untouched {
+        let skin = if self.joins_skin || self.is_frame && !untouched {
             BlendedSkin::read(doc, primitive, &mixer, &row.placement)?
         } else {
             None
@@ -113,7 +114,8 @@ impl<'a> PrimitiveMaker<'a, '_> {
         if !primitive.targets.is_empty() {
             let placement = &row.placement;
             let old = placement.transforms(doc, primitive)?;
-            let blender = TargetBlender::new(self.turns, run, &mixer, placement, old, &world_from_mesh);
+            let mut blender = TargetBlender::new(self.turns, run, &mixer, placement, old, &world_from_mesh);
+            blender.is_respaced = self.joins_skin;
             for (number, target) in primitive.targets.iter().enumerate() {
                 let (made, is_carried) = self.blend_target(&blender, target, untouched)?;
                 if is_carried {

@@ -14,6 +14,7 @@
 //!
 //! A joint that moves no further than rounding keeps every byte: its node, its matrix, its clips.
 
+pub(super) mod avatar;
 mod motions;
 mod nodes;
 pub(super) mod rewrite;
@@ -25,6 +26,7 @@ use super::placement::{Placement, SkinPose, VertexInfluences, affine_of, invert,
 use super::read::GltfNotes;
 use super::scene::{PlacedScene, place_meshes};
 use crate::{BoneLengthRule, Error, FollowedCounts, Geometry, JointTravel, RigRule, ShapeFollowers};
+use avatar::AvatarLengths;
 use glam::{DAffine3, DVec3};
 use motions::joint_motions;
 use nodes::{MovedNodes, RigidBones, move_nodes};
@@ -49,6 +51,7 @@ pub(super) struct FollowedNodeTree {
     poses: BTreeMap<usize, [Arc<SkinPose>; 2]>,
     world_from_node: Vec<DAffine3>,
     size: f64,
+    avatar: AvatarLengths,
     /// The positions that have to be written as if nothing but vertices had moved, so that the moved nodes and joints draw
     /// the shape.
     pub(super) to_write: Vec<DVec3>,
@@ -57,7 +60,7 @@ pub(super) struct FollowedNodeTree {
 /// Whether a shape may move nodes at all: joints of primitives, or nodes with motions of their own.
 fn may_move_nodes(notes: &GltfNotes, followers: &ShapeFollowers<'_>) -> bool {
     let has_rig = || notes.rows.iter().any(|row| row.follows_joints);
-    !followers.nodes.is_empty() || (followers.rules.rig == RigRule::Follow && has_rig())
+    !followers.nodes.is_empty() || (followers.rules.rig != RigRule::Keep && has_rig())
 }
 
 /// The vertices of a model as its file has them, and their joints.
@@ -125,25 +128,32 @@ impl FollowedNodeTree {
         let followed = known.iter().filter(|(skin, _)| drawn.contains(*skin));
         let followed: BTreeMap<usize, Arc<SkinPose>> = followed.map(|(skin, pose)| (*skin, Arc::clone(pose))).collect();
         let still = |pose: &Arc<SkinPose>| -> Vec<_> { pose.joints.iter().map(|&joint| (joint, None)).collect() };
-        let mut motions = match followers.rules.rig {
-            RigRule::Follow => joint_motions(shape, &followed, &scene),
+        let rig = followers.rules.rig;
+        let mut motions = match rig {
+            RigRule::Follow => joint_motions(shape, &followed, &scene, !avatar::is_vrm0(doc)),
+            RigRule::Move => joint_motions(shape, &followed, &scene, false),
             // They stay where they are, even under a node that goes.
             RigRule::Keep => followed.values().flat_map(still).collect(),
         };
         // What a broken skin draws is not known, so its joints stay.
         motions.extend(broken.iter().filter_map(|skin| known.get(skin)).flat_map(still));
         motions.extend(followers.nodes.iter().filter(|(node, _)| **node < doc.nodes.len()));
-        if motions.values().all(Option::is_none) {
+        let is_avatar = rig != RigRule::Keep && avatar::is_measured(doc);
+        if !is_avatar && motions.values().all(Option::is_none) {
             return Ok(None);
         }
         // Where joints stay, so do the lengths of bones.
-        let bone_lengths = match followers.rules.rig {
-            RigRule::Follow => &followers.rules.bone_lengths,
+        let bone_lengths = match rig {
+            RigRule::Follow | RigRule::Move => &followers.rules.bone_lengths,
             RigRule::Keep => &BoneLengthRule::Follow,
         };
         let bones = RigidBones::find(doc, &scene, bone_lengths);
         let nodes = move_nodes(doc, &scene, &motions, &bones, size)?;
-        if nodes.moved.is_empty() {
+        let avatar = match is_avatar {
+            true => AvatarLengths::fit(doc, shape, &followed, &scene, &nodes),
+            false => AvatarLengths::default(),
+        };
+        if nodes.moved.is_empty() && avatar.is_empty() {
             return Ok(None);
         }
         let PlacedScene { world_from_node, .. } = scene;
@@ -153,6 +163,7 @@ impl FollowedNodeTree {
             world_from_node,
             nodes,
             size,
+            avatar,
             to_write: Vec::new(),
         };
         for (skin, pose) in known {
@@ -233,7 +244,7 @@ impl FollowedNodeTree {
     }
 }
 
-fn rounded_matrix(transform: &DAffine3) -> [f32; 16] {
+pub(super) fn rounded_matrix(transform: &DAffine3) -> [f32; 16] {
     let mut matrix = [0.0; 16];
     let m = &transform.matrix3;
     for (c, column) in [m.x_axis, m.y_axis, m.z_axis, transform.translation].iter().enumerate() {
@@ -244,6 +255,11 @@ fn rounded_matrix(transform: &DAffine3) -> [f32; 16] {
 }
 
 impl FollowedNodeTree {
+    /// Where every node is.
+    pub(super) fn world_from_node(&self) -> &[DAffine3] {
+        &self.nodes.world_from_node
+    }
+
     /// Adds the joints that moved to the counts of a file.
     pub(super) fn count_into(&self, doc: &GltfDocument<'_>, counts: &mut FollowedCounts) {
         let joints = joint_nodes(doc);

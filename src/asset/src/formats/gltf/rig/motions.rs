@@ -108,13 +108,49 @@ impl JointFit {
         }
     }
 
-    fn motion(&self, whole: &DMat3, size: f64) -> Option<DAffine3> {
+    /// Looks at every n-th vertex of the surface around it.
+    fn look_around(&mut self, shape: &SkinnedShape<'_>, step: usize, size: f64) {
+        let vertices = || shape.before.iter().zip(shape.now).step_by(step);
+        let distances = vertices().map(|(p, _)| p.distance_squared(self.place));
+        self.nearest = distances.fold(f64::INFINITY, f64::min);
+        let Some(nearness) = Nearness::of_nearest(self.nearest, size) else {
+            return;
+        };
+        for (&p, &q) in vertices() {
+            self.is_moved |= p != q && nearness.weight(p.distance_squared(self.place)) > 0.0;
+            self.look_at(1.0, p, q, size);
+        }
+    }
+
+    /// How the surface around it moves and grows.
+    fn local(&self, size: f64) -> LocalFit {
+        let still = LocalFit {
+            shift: DVec3::ZERO,
+            growth: 1.0,
+        };
+        if !self.is_moved || self.around.is_empty() {
+            return still;
+        }
+        let rotation = DMat3::from_quat(self.around.rotation(&DMat3::IDENTITY));
+        let shift = self.around.shift_of_place(&rotation);
+        let growth = self.around.growth(&rotation).filter(|growth| growth.is_finite());
+        let is_still = !shift.is_finite() || shift.length() <= STILL * size;
+        LocalFit {
+            shift: if is_still { still.shift } else { shift },
+            growth: growth.unwrap_or(still.growth),
+        }
+    }
+
+    fn motion(&self, whole: &DMat3, size: f64, may_turn: bool) -> Option<DAffine3> {
         if !self.is_moved || self.around.is_empty() {
             return None;
         }
-        let rotation = self.around.rotation(whole);
-        let turn = DMat3::from_quat(rotation);
+        let mut rotation = self.around.rotation(whole);
+        let mut turn = DMat3::from_quat(rotation);
         let shift = self.around.shift_of_place(&turn);
+        if !may_turn {
+            (rotation, turn) = (DQuat::IDENTITY, DMat3::IDENTITY);
+        }
         let is_still = shift.length() <= STILL * size && rotation.xyz().length() <= STILL;
         (!is_still && shift.is_finite() && turn.is_finite()).then(|| DAffine3 {
             matrix3: turn,
@@ -131,11 +167,12 @@ struct JointFits<'a> {
     size: f64,
 }
 
-/// How the joints of these skins move in a scene.
+/// How the joints of these skins move in a scene, and turn where they `may_turn`.
 pub(super) fn joint_motions(
     shape: &SkinnedShape<'_>,
     poses: &BTreeMap<usize, Arc<SkinPose>>,
     scene: &PlacedScene,
+    may_turn: bool,
 ) -> NodeMotions {
     let nodes: BTreeSet<usize> = poses.values().flat_map(|pose| &pose.joints).copied().collect();
     let place = |node: &usize| JointFit::at(scene.world_from_node[*node].translation);
@@ -156,7 +193,7 @@ pub(super) fn joint_motions(
     // Twice, so that the hint of the first, that nothing has turned, leaves no trace.
     let roughly = DMat3::from_quat(all.rotation(&DMat3::IDENTITY));
     let whole = DMat3::from_quat(all.rotation(&roughly));
-    let motions = fits.list.iter().map(|fit| fit.motion(&whole, fits.size));
+    let motions = fits.list.iter().map(|fit| fit.motion(&whole, fits.size, may_turn));
     fits.numbers.into_keys().zip(motions).collect()
 }
 
@@ -224,22 +261,81 @@ impl JointFits<'_> {
 
     /// Looks at the surface around joints that hold nothing.
     fn look_at_surface(&mut self, shape: &SkinnedShape<'_>) {
+        let size = self.size;
         let mut loose: Vec<&mut JointFit> = self.list.iter_mut().filter(|fit| fit.held == 0).collect();
         let pairs = (loose.len() as u64).saturating_mul(shape.before.len() as u64);
         let step = 1 + usize::try_from(pairs / MOST_PAIRS).unwrap_or(usize::MAX - 1);
-        for fit in &mut loose {
-            let vertices = || shape.before.iter().zip(shape.now).step_by(step);
-            let distances = vertices().map(|(p, _)| p.distance_squared(fit.place));
-            fit.nearest = distances.fold(f64::INFINITY, f64::min);
-            let Some(nearness) = Nearness::of_nearest(fit.nearest, self.size) else {
-                continue;
-            };
-            for (&p, &q) in vertices() {
-                fit.is_moved |= p != q && nearness.weight(p.distance_squared(fit.place)) > 0.0;
-                fit.look_at(1.0, p, q, self.size);
+        loose.iter_mut().for_each(|fit| fit.look_around(shape, step, size));
+    }
+}
+
+/// How the surface around a place moves.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct LocalFit {
+    /// By how much the place itself does.
+    pub(super) shift: DVec3,
+    /// How much larger lengths are.
+    pub(super) growth: f64,
+}
+
+/// How the surface around places moves, each of which belongs to a node: by the vertices that the node holds as a joint, else
+/// by all around.
+pub(super) fn fits_at(
+    places: &[(usize, DVec3)],
+    shape: &SkinnedShape<'_>,
+    poses: &BTreeMap<usize, Arc<SkinPose>>,
+) -> Vec<LocalFit> {
+    let mut fits: Vec<JointFit> = places.iter().map(|(_, place)| JointFit::at(*place)).collect();
+    // How far away what a node holds is, in the mean: half as far is looked, so that a single vertex at the place itself does
+    // not hide how the rest grows.
+    let mut mean_distance = vec![[0.0_f64; 2]; places.len()];
+    let mut of_node: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for (number, (node, _)) in places.iter().enumerate() {
+        of_node.entry(*node).or_default().push(number);
+    }
+    let size = BoundingBox::of(&shape.before).diagonal();
+    let pairs = (places.len() as u64).saturating_mul(shape.before.len() as u64);
+    let step = 1 + usize::try_from(pairs / MOST_PAIRS).unwrap_or(usize::MAX - 1);
+    // First how near the nearest is, then what lies around.
+    for looks in [false, true] {
+        if looks {
+            for (fit, [sum, weight]) in fits
+                .iter_mut()
+                .zip(&mean_distance)
+                .filter(|(_, [_, weight])| *weight > 0.0)
+            {
+                fit.nearest = fit.nearest.max((0.5 * sum / weight).powi(2));
+            }
+        }
+        for held in &shape.held {
+            let joints = poses.get(&held.skin).map_or(&[][..], |pose| &pose.joints);
+            let numbers: Vec<&[usize]> = joints
+                .iter()
+                .map(|j| of_node.get(j).map_or(&[][..], Vec::as_slice))
+                .collect();
+            for i in (0..held.influences.len()).step_by(step) {
+                let (p, q) = (shape.before[held.first + i], shape.now[held.first + i]);
+                for &(joint, weight) in held.influences.of(i) {
+                    for &number in numbers.get(joint as usize).copied().unwrap_or_default() {
+                        let fit = &mut fits[number];
+                        if looks {
+                            fit.look_at(weight, p, q, size);
+                            continue;
+                        }
+                        fit.held += 1;
+                        fit.is_moved |= p != q;
+                        let squared = p.distance_squared(fit.place);
+                        fit.nearest = fit.nearest.min(squared / (weight * weight));
+                        mean_distance[number][0] += weight * squared.sqrt();
+                        mean_distance[number][1] += weight;
+                    }
+                }
             }
         }
     }
+    let loose = fits.iter_mut().filter(|fit| fit.held == 0);
+    loose.for_each(|fit| fit.look_around(shape, step, size));
+    fits.iter().map(|fit| fit.local(size)).collect()
 }
 
 /// How much of a rotation that is known from elsewhere is mixed into a fit, so that points in a line or in one place, which
@@ -328,6 +424,13 @@ impl MotionMoments {
             return fit_rotation(*hint);
         }
         fit_rotation(spread + turned + *hint * (HINT * size))
+    }
+
+    /// How much larger lengths are once the neighbourhood has turned by `rotation`; `None` where all lies in one place.
+    fn growth(&self, rotation: &DMat3) -> Option<f64> {
+        let CentredMoments { spread, turned, .. } = self.centred();
+        let size = trace(&spread);
+        (size > 0.0).then(|| (trace(&(rotation.transpose() * (spread + turned))) / size).max(0.0))
     }
 
     /// By how much the place itself moves, when the neighbourhood turns by `rotation`: the affine map that fits best in the

@@ -45,6 +45,7 @@ impl FollowedNodeTree {
             clips: BTreeSet::new(),
         };
         writer.write_nodes(self);
+        self.avatar.write(&doc, &mut writer.patched.edits);
         for (&skin, changes) in &self.binds {
             writer.write_binds(skin, changes)?;
         }
