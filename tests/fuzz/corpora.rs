@@ -340,6 +340,7 @@ fn model_record() -> Vec<u8> {
         options: SessionOptions::default().create,
         of_today: true,
         loose_vertices_ride: true,
+        loose_vertices_follow_edits: true,
         label: "a box".into(),
         format: Format::OBJ,
         graph_bytes: Some(1 << 30),

@@ -202,6 +202,7 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
         },
         passengers: passengers(&create.passengers)?,
         loose_vertices_ride: true,
+        loose_vertices_follow_edits: true,
         following: following(create)?,
         kept_apart: kept_apart(create.keep_apart.as_ref())?,
     })

@@ -31,6 +31,9 @@ pub struct OpenOptions {
     /// Whether vertices in no triangle, those of points and lines among them, ride along as well. Records of the time before
     /// lack it: there the nodes of hard handles took those in their region along, and all others stayed.
     pub loose_vertices_ride: bool,
+    /// Whether they stay on the surface through edits as well. Records of the time before lack it: there they stayed in their
+    /// places.
+    pub loose_vertices_follow_edits: bool,
     /// What else of the model's file follows its shape.
     pub following: Following,
 }
@@ -70,6 +73,7 @@ impl Default for OpenOptions {
             },
             passengers: Vec::new(),
             loose_vertices_ride: true,
+            loose_vertices_follow_edits: true,
             following: Following::default(),
             kept_apart: KeptApart::default(),
         }

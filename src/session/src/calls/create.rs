@@ -175,6 +175,7 @@ fn new_session(
             options,
             of_today: true,
             loose_vertices_ride: true,
+            loose_vertices_follow_edits: true,
             label: record.label.clone(),
             format: opened.deformer.engine.format(),
             graph_bytes: Some(opened.graph_bytes),

@@ -22,6 +22,9 @@ pub(super) struct ModelMessage {
     /// See [`RecordedModel`](super::RecordedModel).
     #[prost(bool, tag = "7")]
     pub loose_vertices_ride: bool,
+    /// See [`RecordedModel`](super::RecordedModel).
+    #[prost(bool, tag = "8")]
+    pub loose_vertices_follow_edits: bool,
 }
 
 /// Files by the names of the objects that hold them.

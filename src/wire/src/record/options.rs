@@ -20,6 +20,8 @@ pub struct RecordedModel {
     pub of_today: bool,
     /// Whether vertices in no triangle ride along, as they do today.
     pub loose_vertices_ride: bool,
+    /// Whether they stay on the surface through edits, as they do today.
+    pub loose_vertices_follow_edits: bool,
     /// The session's label.
     pub label: String,
     /// The format of its files.
@@ -39,6 +41,7 @@ impl RecordedModel {
             graph_bytes: self.graph_bytes,
             of_today: self.of_today,
             loose_vertices_ride: self.loose_vertices_ride,
+            loose_vertices_follow_edits: self.loose_vertices_follow_edits,
         };
         message.encode_to_vec()
     }
@@ -54,6 +57,7 @@ impl RecordedModel {
             options: message.options.unwrap_or_default(),
             of_today: message.of_today,
             loose_vertices_ride: message.loose_vertices_ride,
+            loose_vertices_follow_edits: message.loose_vertices_follow_edits,
             label: message.label,
             format: Format::from_name(&message.format)
                 .ok_or_else(|| Error::invalid("model.format", "is not a format"))?,
@@ -70,6 +74,7 @@ impl RecordedModel {
     pub fn open_options(&self) -> Result<OpenOptions, Error> {
         let mut options = open_options(&self.options)?;
         options.loose_vertices_ride = self.loose_vertices_ride;
+        options.loose_vertices_follow_edits = self.loose_vertices_follow_edits;
         if !self.of_today {
             let graph = &mut options.body.graph;
             graph.kind = InteriorKind::Paper;
@@ -98,6 +103,7 @@ mod tests {
             options: options.create.clone(),
             of_today: true,
             loose_vertices_ride: true,
+            loose_vertices_follow_edits: true,
             label: "a label".into(),
             format: Format::OBJ,
             graph_bytes: Some(1 << 40),

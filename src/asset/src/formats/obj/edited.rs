@@ -152,6 +152,41 @@ struct LostElements {
     vertices: usize,
 }
 
+/// Lines that follow each other, or points.
+struct ElementChain<'e, 'a> {
+    /// The first of them.
+    element: &'e ObjElement<'a>,
+    /// The vertices of all.
+    vertices: Vec<u32>,
+    /// How many there are.
+    count: usize,
+}
+
+/// Lines and points, where lines one after the other that meet at a vertex which is gone are one line.
+fn chained<'e, 'a>(elements: &'e [ObjElement<'a>], followed: &FollowedLines) -> Vec<ElementChain<'e, 'a>> {
+    let mut chains: Vec<ElementChain<'e, 'a>> = Vec::new();
+    for element in elements {
+        let joint = element.vertices.first().filter(|v| followed.vertex(**v).is_none());
+        match chains.last_mut() {
+            Some(last)
+                if joint.is_some()
+                    && last.vertices.last() == joint
+                    && [last.element.keyword, element.keyword] == [b'l'; 2]
+                    && last.element.state == element.state =>
+            {
+                last.vertices.extend(&element.vertices[1..]);
+                last.count += 1;
+            }
+            _ => chains.push(ElementChain {
+                element,
+                vertices: element.vertices.clone(),
+                count: 1,
+            }),
+        }
+    }
+    chains
+}
+
 impl<'a> EditedFaces<'a> {
     /// Writes the coordinates and normals of a run, and takes note of its faces.
     fn add_run(
@@ -226,41 +261,37 @@ impl<'a> EditedFaces<'a> {
         lost: &mut LostElements,
     ) {
         let objects = object_numbers(&statements.states);
-        for ObjElement {
-            state,
-            keyword,
+        for ElementChain {
+            element,
             vertices,
-        } in &statements.elements
+            count,
+        } in chained(&statements.elements, followed)
         {
-            let there = match keyword {
-                b'l' => {
-                    let (line, gone) = followed.line(vertices);
-                    let Some(line) = line else {
-                        lost.lines += 1;
-                        continue;
-                    };
-                    lost.vertices += gone;
-                    line
-                }
+            let (pieces, gone) = match element.keyword {
+                b'l' => followed.line(&vertices),
                 _ => {
                     let there: Vec<u32> = vertices.iter().filter_map(|v| followed.vertex(*v)).collect();
-                    lost.vertices += vertices.len() - there.len();
-                    there
+                    let gone = vertices.len() - there.len();
+                    (if there.is_empty() { Vec::new() } else { vec![there] }, gone)
                 }
             };
-            if there.is_empty() {
-                continue;
+            match (element.keyword, pieces.is_empty()) {
+                (b'l', true) => lost.lines += count,
+                _ => lost.vertices += gone,
             }
-            let numbers: String = there.iter().map(|v| format!(" {}", u64::from(*v) + 1)).collect();
-            self.list.push(EditedFace {
-                order: (
-                    base,
-                    objects.get(&state.object).copied().unwrap_or(objects.len()),
-                    state.material.is_some(),
-                ),
-                state: *state,
-                text: [&[*keyword], numbers.as_bytes()].concat(),
-            });
+            let state = element.state;
+            for piece in pieces {
+                let numbers: String = piece.iter().map(|v| format!(" {}", u64::from(*v) + 1)).collect();
+                self.list.push(EditedFace {
+                    order: (
+                        base,
+                        objects.get(&state.object).copied().unwrap_or(objects.len()),
+                        state.material.is_some(),
+                    ),
+                    state,
+                    text: [&[element.keyword], numbers.as_bytes()].concat(),
+                });
+            }
         }
     }
 

@@ -62,6 +62,14 @@ impl FormatCodec for ObjCodec {
         model.notes::<read::ObjNotes>().map(|notes| &notes.outlines)
     }
 
+    fn segments(&self, model: &Model) -> Result<Vec<[u32; 2]>, Error> {
+        let statements = read::read_statements(&model.files.main);
+        let lines = statements.elements.iter().filter(|element| element.keyword == b'l');
+        Ok(lines
+            .flat_map(|line| line.vertices.windows(2).map(|pair| [pair[0], pair[1]]))
+            .collect())
+    }
+
     fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {
         Ok(edited::run_attributes(edited, runs))
     }

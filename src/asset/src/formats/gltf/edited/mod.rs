@@ -13,6 +13,7 @@ mod primitives;
 
 pub(super) use blended::distinguish_vertices;
 pub(super) use looks::run_attributes;
+pub(super) use named::segments;
 
 use super::buffers;
 use super::builder::BufferBuilder;
