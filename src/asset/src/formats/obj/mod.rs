@@ -4,6 +4,7 @@
 //! (materials, groups, curves, whatever is unknown) are never interpreted, so they survive untouched.
 
 mod edited;
+mod foreign;
 mod library;
 mod read;
 mod statements;
