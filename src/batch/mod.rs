@@ -357,7 +357,7 @@ fn idle_handle_warning(id: &str) -> pb::Warning {
         code: "idle-handle".into(),
         message: format!(
             "a step moves handle \"{id}\", which holds nothing, so that nothing follows it; make its region larger, or list it \
-             after the handles that overlap it"
+             after the handles that overlap it; points in no triangle are held by none, and follow the surface around them"
         ),
         r#where: format!("handle \"{id}\""),
         ..Default::default()

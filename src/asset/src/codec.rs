@@ -137,6 +137,12 @@ pub(super) trait FormatCodec: Sync {
         None
     }
 
+    /// The segments of the lines of a model that this codec has read, by their render vertices.
+    fn segments(&self, model: &Model) -> Result<Vec<[u32; 2]>, Error> {
+        let _ = model;
+        Ok(Vec::new())
+    }
+
     /// Texture coordinates, colours and materials of runs of one base that this codec has read, for other formats: one
     /// for each run, or none for any.
     fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {

@@ -133,7 +133,8 @@ impl Geometry {
         moved.positions.copy_from_slice(positions);
         if !self.normals.is_empty() {
             let triangles = &self.triangles;
-            let gradients = shading::gradients(&self.positions, positions, triangles, triangles, positions.len());
+            let all = 0..positions.len();
+            let gradients = shading::gradients_of_all(&self.positions, positions, triangles, all);
             for (i, gradient) in gradients.iter().enumerate() {
                 let Some(gradient) = gradient else { continue };
                 moved.normals[i] = shading::carry_normal(gradient, self.normals[i]);

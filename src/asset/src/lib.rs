@@ -56,4 +56,4 @@ pub use moving_scene::{
 };
 pub use usd::{UsdClip, UsdModel};
 pub use vertex_attributes::{VertexAttributes, agrees_with_facet, facet_normal, normal_key};
-pub use write::{missing_companions, write_edited_model, write_edited_model_following};
+pub use write::{line_segments, missing_companions, write_edited_model, write_edited_model_following};

@@ -261,6 +261,14 @@ pub fn missing_companions(files: &FileSet) -> Vec<String> {
     names
 }
 
+/// The segments of the lines of an edited model, by its vertices: those of the files, as edits have divided and shortened them.
+///
+/// # Errors
+/// [`Error::Malformed`] for lines that cannot be read.
+pub fn line_segments(edited: &EditedModel<'_>) -> Result<Vec<[u32; 2]>, Error> {
+    edited::segments_of(edited, |model| codec_of(model.format).segments(model))
+}
+
 /// Writes an edited model with its vertices at `positions` (in world space, one per vertex of the blends).
 ///
 /// In the first base's own format (GLB and glTF count as one) the first base's file is the frame: whatever the edit did

@@ -9,6 +9,8 @@ use std::collections::BTreeSet;
 
 /// How far a close-up reaches without a radius, in diagonals of the shape.
 const USUAL_REACH: f64 = 0.1;
+/// The largest radius, in diagonals of all that the picture is of: the model is a dot then.
+const LARGEST_REACH: f64 = 100.0;
 /// How much of a box or primitive's surroundings is seen too.
 const MARGIN: f64 = 1.1;
 
@@ -148,6 +150,14 @@ impl CloseUp {
             NearTarget::Worst => (DVec3::ZERO, usual),
         };
         let radius = self.radius.unwrap_or(reach);
+        let most = LARGEST_REACH * shape.bounds.diagonal();
+        if most > 0.0 && radius > most {
+            let [radius, most] = [radius, most].map(brief_number);
+            let problem = format!(
+                "a radius of {radius} shows nothing of the model; at most {most} is allowed, {LARGEST_REACH} times its diagonal"
+            );
+            return Err(refusal(&problem));
+        }
         let BoundingBox { min, max } = shape.bounds;
         let is_reached = match &self.target {
             NearTarget::Box(asked) => asked.overlaps(&shape.bounds),
@@ -235,6 +245,11 @@ mod tests {
         let place = worst.place_in(&shape(&[0.5, -2.0, 2.0])).expect("one is worst");
         assert_eq!((place.at, place.radius), (DVec3::X, 0.5));
         assert!(worst.place_in(&shape(&[0.0; 3])).is_err() && worst.place_in(&shape(&[])).is_err());
+        let wide = |text: &str| parse_close_up(text).expect("allowed").place_in(&shape(&[])).is_ok();
+        assert_eq!(
+            [wide("vertex:0,100"), wide("vertex:0,1e9"), wide("0,0,0,1e300")],
+            [true, false, false]
+        );
         // A place has to be near the model.
         for (text, is_near) in [
             ("0.5,0.5,0", true),

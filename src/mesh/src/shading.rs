@@ -5,6 +5,7 @@
 //! deformation gradients of the triangles that use it; the gradient's cofactor moves its normal, the gradient itself
 //! moves its tangent.
 
+use crate::query::NearestPoints;
 use glam::{DMat3, DVec3, Vec3, Vec4};
 
 /// Deformation gradients of `count` shading vertices.
@@ -45,6 +46,46 @@ pub fn gradients(
         .zip(&moved)
         .map(|(&g, &m)| (m && g.is_finite() && g != DMat3::ZERO).then_some(g))
         .collect()
+}
+
+/// Pairs each of some vertices that is in no triangle with the corner of the surface that is nearest to it at `rest`. The normals
+/// of points and lines turn as those there do.
+///
+/// # Panics
+/// When an index is out of range.
+pub fn nearest_corners(
+    rest: &[DVec3],
+    triangles: &[[u32; 3]],
+    vertices: impl Iterator<Item = usize>,
+) -> Vec<(u32, u32)> {
+    let mut used = vec![false; rest.len()];
+    triangles.as_flattened().iter().for_each(|&v| used[v as usize] = true);
+    let loose: Vec<usize> = vertices.filter(|&v| !used[v]).collect();
+    if loose.is_empty() {
+        return Vec::new();
+    }
+    let corners = (0u32..).zip(rest).filter(|(v, _)| used[*v as usize]);
+    let corners = NearestPoints::new(corners.map(|(v, place)| (*place, v)));
+    let nearest = |v: usize| Some((v as u32, corners.nearest(rest[v])?.0));
+    loose.into_iter().filter_map(nearest).collect()
+}
+
+/// The gradients of a model's vertices as [`gradients`], where those of `vertices` that are in no triangle have the one of the
+/// nearest corner at `rest`.
+///
+/// # Panics
+/// As [`gradients`].
+pub fn gradients_of_all(
+    rest: &[DVec3],
+    deformed: &[DVec3],
+    triangles: &[[u32; 3]],
+    vertices: impl Iterator<Item = usize>,
+) -> Vec<Option<DMat3>> {
+    let mut found = gradients(rest, deformed, triangles, triangles, deformed.len());
+    for (vertex, corner) in nearest_corners(rest, triangles, vertices) {
+        found[vertex as usize] = found[corner as usize];
+    }
+    found
 }
 
 /// The gradient of the affine map that takes one triangle and its unit normal to the other, times twice the rest area;

@@ -5,12 +5,51 @@ pub(super) const WIDTH: u32 = 5;
 /// Dots down.
 pub(super) const HEIGHT: u32 = 7;
 
-/// The rows of a character, from the top; the leftmost dot is the highest of five bits. A box stands for what is not
-/// ASCII.
+/// The rows of a character, from the top; the leftmost dot is the highest of five bits. Letters of western alphabets are shown
+/// without their accents; a box stands for what else is not ASCII.
 pub(super) fn glyph(c: char) -> [u8; HEIGHT as usize] {
-    let place = (c as usize).checked_sub(' ' as usize);
+    if c == '°' {
+        return std::array::from_fn(|row| [0b01100, 0b10010, 0b10010, 0b01100, 0, 0, 0][row]);
+    }
+    let place = (plain(c) as usize).checked_sub(' ' as usize);
     let packed = place.and_then(|k| GLYPHS.get(k)).copied().unwrap_or(BOX);
     std::array::from_fn(|row| (packed >> (5 * (6 - row)) & 0b11111) as u8)
+}
+
+/// The ASCII character that looks most like one.
+fn plain(c: char) -> char {
+    match c {
+        'À'..='Å' | 'Ā' | 'Ă' | 'Ą' => 'A',
+        'Ç' | 'Ć' | 'Č' => 'C',
+        'È'..='Ë' | 'Ē' | 'Ę' | 'Ě' => 'E',
+        'Ì'..='Ï' | 'İ' => 'I',
+        'Ñ' | 'Ń' | 'Ň' => 'N',
+        'Ò'..='Ö' | 'Ø' | 'Ő' => 'O',
+        'Ù'..='Ü' | 'Ů' | 'Ű' => 'U',
+        'Ý' => 'Y',
+        'Š' | 'Ś' => 'S',
+        'Ž' | 'Ź' | 'Ż' => 'Z',
+        'Ł' => 'L',
+        'à'..='å' | 'ā' | 'ă' | 'ą' => 'a',
+        'ç' | 'ć' | 'č' => 'c',
+        'è'..='ë' | 'ē' | 'ę' | 'ě' => 'e',
+        'ì'..='ï' | 'ı' => 'i',
+        'ñ' | 'ń' | 'ň' => 'n',
+        'ò'..='ö' | 'ø' | 'ő' => 'o',
+        'ù'..='ü' | 'ů' | 'ű' => 'u',
+        'ý' | 'ÿ' => 'y',
+        'š' | 'ś' => 's',
+        'ß' => 'B',
+        'ž' | 'ź' | 'ż' => 'z',
+        'ł' => 'l',
+        '×' => 'x',
+        '–' | '—' | '−' => '-',
+        '‘' | '’' => '\'',
+        '“' | '”' => '"',
+        '·' => '.',
+        '\u{a0}' => ' ',
+        other => other,
+    }
 }
 
 const BOX: u64 = 0b11111_10001_10001_10001_10001_10001_11111;
@@ -123,8 +162,9 @@ mod tests {
     fn every_character_has_a_shape_of_its_own() {
         let mut shapes: Vec<_> = (' '..='~').map(glyph).collect();
         assert_eq!(shapes[0], [0; 7], "a space is empty");
-        shapes.push(glyph('é'));
-        assert_eq!(glyph('é'), glyph('\n'));
+        shapes.extend([glyph('ж'), glyph('°')]);
+        assert_eq!(glyph('ж'), glyph('\n'));
+        assert_eq!(['é', 'Ö', 'ß', '×'].map(glyph), ['e', 'O', 'B', 'x'].map(glyph));
         shapes.sort_unstable();
         let count = shapes.len();
         shapes.dedup();

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -194,6 +195,13 @@ def ply(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> bytes:
     rows["count"] = corners.shape[1]
     rows["corners"] = corners
     return header.encode() + points.astype("<f4" if single else "<f8").tobytes() + rows.tobytes()
+
+
+def warn_of(chunks: Iterable[pb.Chunk]) -> None:
+    """Issues what an export says of itself as warnings of Python: what the files do not hold, or what may not fit any more."""
+    for told in (warning for chunk in chunks for warning in chunk.warnings):
+        place = f" ({told.where})" if told.where else ""
+        warnings.warn(f"{told.code}: {told.message}{place}", UserWarning, stacklevel=2)
 
 
 def joined(chunks: Iterable[pb.Chunk]) -> dict[str, bytes]:

@@ -38,6 +38,7 @@ class Session(Face, Declared):
     positions = blocking(aio.Session.positions)
     export = blocking(aio.Session.export)
     export_bytes = blocking(aio.Session.export_bytes)
+    _preview_bytes = blocking(aio.Session._preview_bytes)
     carry = blocking(aio.Session.carry)
     carry_model = blocking(aio.Session.carry_model)
     crossings = blocking(aio.Session.crossings)
@@ -71,7 +72,7 @@ class Session(Face, Declared):
 
     def preview(self, width: int = preview.SIZE[0], height: int = preview.SIZE[1]) -> bytes:
         """A small picture of the current shape, a PNG; notebooks show it for a session."""
-        return preview.picture(*preview.triangles_of(self.export_bytes("ply")[""]), (width, height))
+        return preview.picture(*preview.triangles_of(self._preview_bytes()), (width, height))
 
     def _repr_png_(self) -> bytes | None:
         # A notebook shows what it can: a session that is closed or whose server is away has no picture.

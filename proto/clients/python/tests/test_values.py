@@ -412,3 +412,9 @@ def test_an_answer_that_comes_late_does_not_open_a_closed_session() -> None:
     books.travelled(pb.Session(id="a"), 0)
     books.edited(pb.Session(id="a"))
     assert books.closed
+
+
+def test_what_an_export_does_not_hold_is_a_warning_of_python() -> None:
+    told = pb.Warning(code="left-out", message="the obj file has not: 1 skin", where="skins/0")
+    with pytest.warns(UserWarning, match=r"left-out: the obj file has not: 1 skin \(skins/0\)"):
+        model.warn_of([pb.Chunk(data=b"a", warnings=[told]), pb.Chunk(data=b"b")])

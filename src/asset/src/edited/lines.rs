@@ -1,6 +1,7 @@
 //! Lines and points through edits: what names old vertices by number, in the numbers of the edited model.
 
 use super::{EditedModel, PrimitiveRun, VertexBlend};
+use crate::{Error, Model};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// How far along an edge copies of one vertex may be from each other.
@@ -79,33 +80,60 @@ impl FollowedLines {
         (is_gone || !found.is_empty()).then_some(found)
     }
 
-    /// A line through old vertices: through those of them that are left, and what lies on the edges between. `None` where
-    /// less than two are left; and how many vertices are not.
-    pub fn line(&self, old: &[u32]) -> (Option<Vec<u32>>, usize) {
-        let mut line: Vec<u32> = Vec::with_capacity(old.len());
+    /// What is left of the segment between two old vertices: itself, with what an edit has put between, or a part of it.
+    pub fn segment(&self, from: u32, to: u32) -> Vec<u32> {
+        let ends = [from, to].map(|old| self.vertex(old));
+        let [first, last] = ends.map(|end| end.into_iter());
+        first.chain(self.places_inside(from, to)).chain(last).collect()
+    }
+
+    /// A line through old vertices, in pieces: through those of them that are left, and what lies on the edges between. It
+    /// ends where a cut has gone through such an edge. And how many vertices are not there; pieces of one vertex are none.
+    pub fn line(&self, old: &[u32]) -> (Vec<Vec<u32>>, usize) {
+        let mut pieces: Vec<Vec<u32>> = Vec::new();
+        let mut piece: Vec<u32> = Vec::with_capacity(old.len());
         let mut lost = 0;
-        let mut last: Option<(usize, u32)> = None;
+        let mut is_cut = false;
         for (i, &vertex) in old.iter().enumerate() {
-            let Some(now) = self.vertex(vertex) else {
-                lost += 1;
-                continue;
+            let now = self.vertex(vertex);
+            lost += usize::from(now.is_none());
+            let inside = match i.checked_sub(1) {
+                Some(before) => self.places_inside(old[before], vertex),
+                None => Vec::new(),
             };
-            if let Some((at, before)) = last
-                && at + 1 == i
+            let from_gone = i > 0 && self.vertex(old[i - 1]).is_none();
+            let begins = from_gone && (is_cut || !inside.is_empty());
+            if let Some(first) = inside.first().copied().or(now)
+                && begins
+                && !piece
+                    .last()
+                    .is_some_and(|&last| self.edges.contains(&sorted([last, first])))
             {
-                let mut level = f64::NEG_INFINITY;
-                for (place, between) in self.inside(before, vertex) {
-                    if place - level > SAME_PLACE {
-                        line.push(between);
-                    }
-                    level = place;
-                }
+                pieces.push(std::mem::take(&mut piece));
             }
-            line.push(now);
-            last = Some((i, vertex));
+            is_cut = match now {
+                Some(_) => false,
+                None => !inside.is_empty() || (is_cut && from_gone),
+            };
+            piece.extend(inside);
+            piece.extend(now);
         }
-        let is_line = line.len() > 1;
-        (is_line.then_some(line), lost)
+        pieces.push(piece);
+        pieces.retain(|piece| piece.len() > 1);
+        (pieces, lost)
+    }
+
+    /// The vertices on the edge between two old ones, one for each place.
+    fn places_inside(&self, from: u32, to: u32) -> Vec<u32> {
+        let mut level = f64::NEG_INFINITY;
+        let mut found = Vec::new();
+        for (place, vertex) in self.inside(from, to) {
+            if place - level > SAME_PLACE {
+                found.push(vertex);
+            }
+            level = place;
+        }
+        found
     }
 
     /// The vertices on the edge between two old ones, from the first to the second.
@@ -116,6 +144,29 @@ impl FollowedLines {
             false => places.iter().rev().map(|&(at, vertex)| (1.0 - at, vertex)).collect(),
         }
     }
+}
+
+/// The segments of the lines of a model that is edited, by its vertices, as edits have left them.
+///
+/// # Errors
+/// Those of reading a base again.
+pub(crate) fn segments_of(
+    edited: &EditedModel<'_>,
+    of_base: impl Fn(&Model) -> Result<Vec<[u32; 2]>, Error>,
+) -> Result<Vec<[u32; 2]>, Error> {
+    let mut found = Vec::new();
+    for (base, model) in (0u32..).zip(edited.bases) {
+        let segments = of_base(model.model)?;
+        if segments.is_empty() {
+            continue;
+        }
+        let followed = FollowedLines::of_runs(edited, edited.runs.iter().filter(|run| run.base == base));
+        for [from, to] in segments {
+            let chain = followed.segment(from, to);
+            found.extend(chain.windows(2).map(|pair| [pair[0], pair[1]]));
+        }
+    }
+    Ok(found)
 }
 
 fn sorted([a, b]: [u32; 2]) -> [u32; 2] {

@@ -12,7 +12,7 @@ mod lines;
 mod origins;
 
 pub use blends::{VertexBlend, VertexBlends};
-pub(super) use lines::FollowedLines;
+pub(super) use lines::{FollowedLines, segments_of};
 pub(super) use origins::{CarriedAttributes, FaceOutlines, RunFaces, TriangleOrigins};
 
 use super::model::FileNotes;
@@ -108,9 +108,9 @@ impl<'a> EditedModel<'a> {
         runs.filter(move |run| run.base == base && run.triangle_count > 0)
     }
 
-    /// Whether a run draws something: triangles, or points and lines, which never had any.
+    /// Whether a run draws something: triangles, or points and lines, which never had any, as far as they are left.
     pub(super) fn is_drawn(&self, run: &PrimitiveRun) -> bool {
-        run.triangle_count > 0 || self.primitive(run).index_count == 0
+        run.triangle_count > 0 || (run.vertex_count > 0 && self.primitive(run).index_count == 0)
     }
 
     /// The base of a run. Checked by [`check`].

@@ -42,7 +42,16 @@ impl<'a> CarriedAttributes<'a> {
         let triangles = edited.local_triangles(run);
         let now = &positions[run.vertices()];
         let before = Self::before(edited, run);
-        let gradients = shading::gradients(&before, now, &triangles, &triangles, now.len());
+        let mut used = vec![false; now.len()];
+        triangles.as_flattened().iter().for_each(|&v| used[v as usize] = true);
+        let gradients = if edited.primitive(run).has_normals && used.contains(&false) {
+            // Those in no triangle turn with the surface around them, which may be another run's.
+            let all: Vec<DVec3> = edited.runs.iter().flat_map(|run| Self::before(edited, run)).collect();
+            let all = shading::gradients_of_all(&all, positions, edited.triangles, run.vertices());
+            all[run.vertices()].to_vec()
+        } else {
+            shading::gradients(&before, now, &triangles, &triangles, now.len())
+        };
         Self {
             edited,
             run,

@@ -1,5 +1,6 @@
 //! Words and numbers of text formats with their places, and edits of them that leave every other byte alone.
 
+use crate::{Error, Format};
 use glam::DVec3;
 use std::io::Write as _;
 use std::ops::Range;
@@ -238,6 +239,15 @@ fn has_decimal_comma(word: &[u8]) -> bool {
 /// A text without the byte-order mark that it may begin with.
 pub(super) fn without_mark(bytes: &[u8]) -> &[u8] {
     bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes)
+}
+
+/// Refuses a text of two bytes a letter, which some editors write.
+pub(super) fn refuse_utf16(bytes: &[u8], format: Format) -> Result<(), Error> {
+    if bytes.starts_with(b"\xff\xfe") || bytes.starts_with(b"\xfe\xff") {
+        let problem = "the text is in UTF-16 (two bytes a letter); save it as UTF-8";
+        return Err(Error::malformed(format, "byte 0", problem));
+    }
+    Ok(())
 }
 
 /// A whole number, with its sign; `None` when the word is none or too large.

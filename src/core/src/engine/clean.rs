@@ -4,7 +4,7 @@ use super::edit_command::CleanCommand;
 use super::error::Error;
 use crate::edit::SurfaceView;
 use crate::exec::Exec;
-use crate::mesh::{Components, Mesh, Weld};
+use crate::mesh::Components;
 use glam::DVec3;
 
 /// A connected part of a surface.
@@ -26,22 +26,16 @@ pub(super) fn unwanted_faces(
     exec: &Exec<'_>,
 ) -> Result<Vec<u32>, Error> {
     let mut unwanted = vec![false; surface.triangles.len()];
-    if let Some(tolerance) = clean.duplicates_within {
-        // Without a triangle that the tolerance leaves there is none that lies on another.
-        if let Ok(welded) = Mesh::build(surface.positions, surface.triangles, Weld::Tolerance(tolerance)) {
-            welded
-                .duplicate_triangles
-                .iter()
-                .for_each(|&t| unwanted[t as usize] = true);
-        }
-    }
-    exec.check()?;
     let points: Vec<[u32; 3]> = surface
         .triangles
         .iter()
         .map(|t| t.map(|v| surface.point_of[v as usize]))
         .collect();
     let connected = Components::of_triangles(surface.points as usize, &points);
+    if let Some(tolerance) = clean.duplicates_within {
+        Duplicates::new(surface, &points, &connected, tolerance).mark(&mut unwanted, exec)?;
+    }
+    exec.check()?;
     let none = SurfacePart {
         area: 0.0,
         low: DVec3::INFINITY,
@@ -81,4 +75,93 @@ pub(super) fn unwanted_faces(
         .filter(|(_, unwanted)| *unwanted)
         .map(|(t, _)| t)
         .collect())
+}
+
+/// How many pairs of triangles are compared: some seconds.
+const MOST_COMPARED: u64 = 1 << 30;
+
+/// Triangles whose corners are near those of an earlier one. Vertices are compared, never joined: those of one part may be nearer
+/// to each other than the distance.
+struct Duplicates<'a> {
+    triangles: &'a [[u32; 3]],
+    places: Vec<DVec3>,
+    part_of_point: &'a [u32],
+    distance: f64,
+    /// The triangles by the cell of their middle, sorted.
+    cells: Vec<([i64; 3], u32)>,
+    /// The edge of a cell.
+    cell: f64,
+}
+
+impl<'a> Duplicates<'a> {
+    fn new(surface: &SurfaceView<'_>, triangles: &'a [[u32; 3]], parts: &'a Components, distance: f64) -> Self {
+        let places = surface.point_positions();
+        let largest = places.iter().fold(0.0f64, |most, p| most.max(p.abs().max_element()));
+        // Numbers of cells are exact.
+        let cell = (2.0 * distance).max(largest * 1e-12).max(f64::MIN_POSITIVE);
+        let mut found = Self {
+            triangles,
+            places,
+            part_of_point: &parts.of_vertex,
+            distance,
+            cells: Vec::new(),
+            cell,
+        };
+        found.cells = (0..triangles.len()).map(|t| (found.cell_of(t), t as u32)).collect();
+        found.cells.sort_unstable();
+        found
+    }
+
+    fn corners(&self, triangle: usize) -> [DVec3; 3] {
+        self.triangles[triangle].map(|p| self.places[p as usize])
+    }
+
+    fn cell_of(&self, triangle: usize) -> [i64; 3] {
+        let [a, b, c] = self.corners(triangle);
+        ((a + b + c) / 3.0 / self.cell).floor().to_array().map(|x| x as i64)
+    }
+
+    /// Marks each triangle that lies on an earlier one that is not marked.
+    fn mark(&self, marks: &mut [bool], exec: &Exec<'_>) -> Result<(), Error> {
+        let mut compared = 0u64;
+        for triangle in 0..self.triangles.len() {
+            if triangle.is_multiple_of(1024) {
+                exec.check()?;
+            }
+            let [x, y, z] = self.cell_of(triangle);
+            for (dx, dy) in (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| (dx, dy))) {
+                let begin = self.cells.partition_point(|(cell, _)| *cell < [x + dx, y + dy, z - 1]);
+                let near = self.cells[begin..].iter();
+                for &(_, other) in near.take_while(|(cell, _)| *cell <= [x + dx, y + dy, z + 1]) {
+                    compared += 1;
+                    let other = other as usize;
+                    if other < triangle && !marks[other] && self.lies_on(triangle, other) {
+                        marks[triangle] = true;
+                    }
+                }
+            }
+            if compared > MOST_COMPARED {
+                let problem =
+                    "is so large against the triangles that too many are near each other; take a smaller distance";
+                return Err(Error::invalid("clean.duplicatesWithin", problem));
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether each corner of a triangle is near another one of an earlier triangle: of another part, or so near that the
+    /// triangle's own corners are far apart beside it.
+    fn lies_on(&self, triangle: usize, other: usize) -> bool {
+        let (own, their) = (self.corners(triangle), self.corners(other));
+        let part = |t: usize| self.part_of_point[self.triangles[t][0] as usize];
+        let shortest = (0..3)
+            .map(|k| own[k].distance(own[(k + 1) % 3]))
+            .fold(f64::INFINITY, f64::min);
+        if part(triangle) == part(other) && 2.0 * self.distance >= shortest {
+            return false;
+        }
+        [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]]
+            .iter()
+            .any(|order| (0..3).all(|k| own[k].distance(their[order[k]]) <= self.distance))
+    }
 }

@@ -17,7 +17,7 @@ use super::handle::Region;
 use super::part_families::VertexOrigins;
 use super::quality::{HandleBend, largest_turn};
 use super::region_context::{RegionContext, nodes_in_region, vertices_in_region, vertices_of_handle};
-use super::riding::without_surface;
+use super::riding_edits::{RiddenEdit, cut_segments};
 use super::seams::Seams;
 use super::settings::{EDITED_AT_REST, ESTIMATED_MEMORY, HeldBeside, SolveMode, SolveSettings};
 use super::shape::{ModelShape, Shading};
@@ -37,6 +37,7 @@ impl Deformer {
     pub fn edit(&mut self, order: &EditCommand<'_>, exec: &Exec<'_>) -> Result<EditOutcome, Error> {
         exec.progress.report("edit", 0.0);
         let at_rest = order.on == EditedShape::Rest;
+        let follows = self.options.loose_vertices_ride;
         if order.shape.positions.len() != self.rest().len() {
             return Err(Error::Internal("the shape of another model".into()));
         }
@@ -79,11 +80,32 @@ impl Deformer {
         exec.check()?;
         patch.idle = std::mem::take(&mut surface.idle_vertices);
         (surface.seams).part_facets(&mut patch, &surface.own_surface());
+        if let Some((plane, keeps_above)) = order.edit.one_sided_plane().filter(|_| follows) {
+            let segments = origins.line_segments(self.geometry())?;
+            let firsts = surface.first_vertices();
+            cut_segments(
+                &mut patch,
+                &surface.own_surface(),
+                &segments,
+                &plane,
+                keeps_above,
+                &firsts,
+            );
+        }
         let patch = &patch;
-        let applied = apply_patch(&surface.own_surface(), patch, &surface.first_vertices())?;
+        let mut applied = apply_patch(&surface.own_surface(), patch, &surface.first_vertices())?;
+        let ridden = RiddenEdit {
+            model: self.derived.riding_model(),
+            before: surface.own_surface(),
+            patch,
+            kind: order.edit.kind(),
+            follows,
+        };
+        let left_behind = ridden.follow(&mut applied, exec)?;
         self.admit_size(&applied, exec)?;
         let mut carried = self.carry(&applied, patch, &surface.seams, order, exec)?;
-        let mut report = self.report_edit(before, &applied, patch, order.edit.kind());
+        let mut report = self.report_edit(before, &applied, patch);
+        report.warnings.extend(left_behind);
         let points_before = self.derived.mesh.positions.len();
         let families = (self.derived.families).after_edit(points_before, &surface.surface(), &applied, patch);
         let (mut topology, applied) = (self.topology()).after_edit(&surface, &origins, applied, patch, families);
@@ -136,13 +158,7 @@ impl Deformer {
     }
 
     /// What an edit has done, but for the shape after it.
-    fn report_edit(
-        &self,
-        before: MeshCounts,
-        applied: &PatchedSurface,
-        patch: &SurfacePatch,
-        kind: EditKind,
-    ) -> EditReport {
+    fn report_edit(&self, before: MeshCounts, applied: &PatchedSurface, patch: &SurfacePatch) -> EditReport {
         // What rides along is in no patch.
         let riding = self.topology().passenger_triangles();
         let mut report = EditReport {
@@ -164,10 +180,6 @@ impl Deformer {
                 "{collapsed} triangles without area and {duplicate} that repeat another are left out from now on"
             );
             (report.warnings).push(DeformerWarning::new("triangles-dropped", message, ""));
-        }
-        // Others that take a vertex have other surface in its place.
-        if let EditKind::Cut | EditKind::Delete | EditKind::Clean = kind {
-            (report.warnings).extend(without_surface(self.derived.riding_model(), &applied.point_from_old));
         }
         report
     }

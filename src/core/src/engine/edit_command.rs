@@ -5,7 +5,7 @@
 
 use crate::asset::{FileSet, Format};
 use crate::deform::Transform;
-use crate::edit::{KeptSide, PatchedSurface, SubdivisionScheme, SurfacePatch};
+use crate::edit::{CutPlane, KeptSide, PatchedSurface, SubdivisionScheme, SurfacePatch};
 use crate::engine::facts::{DeformerWarning, MeshCounts, WarningPlace};
 use crate::engine::handle::{Handle, HandlePose, HandlePoses, HandleSet, Plane, Region, Stiff, VertexRange};
 use crate::engine::settings::SolveSettings;
@@ -328,6 +328,21 @@ impl Edit {
             Self::Cut { cap, fill: true, .. } | Self::Fill { cap, .. } => cap.as_ref(),
             _ => None,
         }
+    }
+
+    /// The plane of a cut of which one side stays, and whether that is the one above it.
+    pub(super) fn one_sided_plane(&self) -> Option<(CutPlane, bool)> {
+        let Self::Cut {
+            along: CutLine::Plane(plane),
+            keep: side @ (KeptSide::Above | KeptSide::Below),
+            ..
+        } = self
+        else {
+            return None;
+        };
+        let (normal, point) = plane.unit_normal_and_point();
+        let offset = normal.dot(point);
+        Some((CutPlane { normal, offset }, *side == KeptSide::Above))
     }
 
     /// Returns the kind of the edit.

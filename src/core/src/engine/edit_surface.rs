@@ -1,7 +1,7 @@
 //! The surface that an edit works on.
 
 use super::seams::{Seams, append_padded};
-use super::shape::{Shading, shade};
+use super::shape::{Authored, Shading};
 use crate::asset::{Geometry, Primitive};
 use crate::edit::{SurfacePatch, SurfaceView};
 use crate::mesh::{Mesh, NONE};
@@ -137,7 +137,15 @@ impl EditSurface {
             positions,
             ..
         } = self;
-        let followed = shade(triangles, normals, tangents, primitives, positions, &moved);
+        let authored = Authored {
+            triangles,
+            normals,
+            tangents,
+            primitives,
+            rest: positions,
+            beside: &[],
+        };
+        let followed = authored.shade(&moved);
         let (was, now) = (&*positions, &moved);
         let touched = triangles
             .iter()

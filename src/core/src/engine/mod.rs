@@ -46,6 +46,7 @@ mod quality;
 mod region_context;
 mod resolved_handles;
 mod riding;
+mod riding_edits;
 mod seams;
 mod settings;
 mod shape;

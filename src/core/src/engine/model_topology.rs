@@ -6,7 +6,7 @@ use super::part_families::{PartFamilies, VertexOrigins};
 use super::riding::RidingNodes;
 use crate::asset::{self, Format, Geometry, Model, Primitive, ShapeFollowers, WrittenFiles};
 use crate::edit::{NewVertex, PatchedSurface, SurfacePatch};
-use crate::mesh::{Mesh, Weld};
+use crate::mesh::{Mesh, NONE, Weld};
 use glam::{DVec3, Vec3, Vec4};
 use sha2::{Digest, Sha256};
 use std::mem::take;
@@ -172,7 +172,7 @@ impl ModelTopology {
         patch: &SurfacePatch,
         families: PartFamilies,
     ) -> (Self, PatchedSurface) {
-        let normals = edited_normals(before, &applied);
+        let normals = edited_normals(before, &applied, patch);
         let own = |v: usize| is_own(before, &applied, patch, &normals, v);
         let mut origins = origins.after_edit(&applied, patch, own);
         let mut geometry = Geometry {
@@ -259,8 +259,9 @@ fn edited_primitives(before: &EditSurface, applied: &PatchedSurface) -> Vec<Prim
         .collect()
 }
 
-/// Normals after an edit: old vertices keep theirs, new ones have the mean of their triangles'.
-fn edited_normals(before: &EditSurface, applied: &PatchedSurface) -> Vec<Vec3> {
+/// Normals after an edit: old vertices keep theirs, new ones have the mean of their triangles', or of what they are blended from
+/// where no triangle has them.
+fn edited_normals(before: &EditSurface, applied: &PatchedSurface, patch: &SurfacePatch) -> Vec<Vec3> {
     if before.normals.is_empty() {
         return Vec::new();
     }
@@ -280,6 +281,13 @@ fn edited_normals(before: &EditSurface, applied: &PatchedSurface) -> Vec<Vec3> {
             None => sum.try_normalize().unwrap_or(DVec3::Z).as_vec3(),
         })
         .collect();
+    let of_lines = (applied.old_from_vertex.iter().zip(&applied.point_of).enumerate())
+        .filter(|(_, (was, point))| **point == NONE && **was as usize >= old);
+    for (v, (&was, _)) in of_lines {
+        let parts = patch.vertices[was as usize - old].parts();
+        let sum: Vec3 = parts.map(|(v, w)| before.normals[v as usize] * w as f32).sum();
+        normals[v] = sum.try_normalize().unwrap_or(Vec3::ZERO);
+    }
     for (p, _) in before.primitives.iter().enumerate().filter(|(_, p)| !p.has_normals) {
         let end = applied.first_vertex.get(p + 1).map_or(normals.len(), |&v| v as usize);
         normals[applied.first_vertex[p] as usize..end].fill(Vec3::ZERO);
@@ -296,6 +304,9 @@ fn is_own(
     vertex: usize,
 ) -> bool {
     const ALIKE: f32 = 0.5;
+    if applied.point_of[vertex] == NONE {
+        return false;
+    }
     let old = before.positions.len();
     let new = (applied.old_from_vertex[vertex] as usize).checked_sub(old);
     if new.is_some_and(|k| patch.flat.binary_search(&(k as u32)).is_ok()) {

@@ -351,11 +351,23 @@ impl VertexOrigins {
     /// The edited model as files. `geometry` has its primitives and triangles.
     pub fn write(
         &self,
-        geometry: &crate::asset::Geometry,
+        geometry: &asset::Geometry,
         positions: &[DVec3],
         format: Format,
         followers: &ShapeFollowers<'_>,
     ) -> Result<WrittenFiles, asset::Error> {
+        self.described(geometry, |edited| {
+            write_edited_model_following(edited, positions, format, followers.clone())
+        })
+    }
+
+    /// The segments of the model's lines, by its vertices. `geometry` has its primitives and triangles.
+    pub fn line_segments(&self, geometry: &asset::Geometry) -> Result<Vec<[u32; 2]>, asset::Error> {
+        self.described(geometry, asset::line_segments)
+    }
+
+    /// Describes the edited model to `take`.
+    fn described<T>(&self, geometry: &asset::Geometry, take: impl FnOnce(&EditedModel<'_>) -> T) -> T {
         let bases: Vec<BaseModel<'_>> = (self.bases.iter())
             .map(|(model, placement)| BaseModel {
                 model,
@@ -377,7 +389,7 @@ impl VertexOrigins {
                 run
             })
             .collect();
-        let edited = EditedModel {
+        take(&EditedModel {
             bases: &bases,
             runs: &runs,
             blends: &self.blends,
@@ -388,8 +400,7 @@ impl VertexOrigins {
                 materials: &self.cap_materials,
                 uv: &self.cap_uv,
             },
-        };
-        write_edited_model_following(&edited, positions, format, followers.clone())
+        })
     }
 
     /// Bytes held, with those of the models that were merged in.

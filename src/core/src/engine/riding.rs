@@ -114,7 +114,7 @@ impl RidingModel<'_> {
     }
 
     /// Vertices of points and lines, and others in no triangle.
-    fn loose(self) -> Vec<u32> {
+    pub fn loose(self) -> Vec<u32> {
         let own = self.primitives.iter().filter(|p| match p.is_passenger {
             true => p.index_count == 0,
             false => self.loose,
@@ -125,7 +125,7 @@ impl RidingModel<'_> {
     }
 
     /// Divides loose vertices into those at a vertex of the surface, with that one, and the others.
-    fn part_by_place(self, loose: Vec<u32>) -> (Vec<(u32, u32)>, Vec<u32>) {
+    pub fn part_by_place(self, loose: Vec<u32>) -> (Vec<(u32, u32)>, Vec<u32>) {
         if loose.is_empty() {
             return Default::default();
         }
@@ -144,46 +144,6 @@ impl RidingModel<'_> {
         }
         (there, others)
     }
-}
-
-/// Says which points and lines stand where the surface had a vertex that an edit has taken. `point_from_old`: the number of
-/// each of the mesh's vertices after it, or [`NONE`].
-pub(super) fn without_surface(model: RidingModel<'_>, point_from_old: &[u32]) -> Option<DeformerWarning> {
-    let is_gone = |like: u32| {
-        let point = model.mesh.solver_from_render[like as usize];
-        point_from_old.get(point as usize) == Some(&NONE)
-    };
-    let (on_vertices, _) = model.part_by_place(model.loose());
-    let mut gone: Vec<u32> = on_vertices
-        .iter()
-        .filter(|(_, like)| is_gone(*like))
-        .map(|(v, _)| *v)
-        .collect();
-    gone.sort_unstable();
-    let place_of = |v: u32| model.primitives.partition_point(|p| p.first_vertex <= v) - 1;
-    let mut places: Vec<usize> = gone.iter().map(|&v| place_of(v)).collect();
-    places.dedup();
-    let names = places
-        .iter()
-        .take(NAMES_LISTED)
-        .map(|&k| match model.primitives[k].name.as_str() {
-            "" => format!("primitive {k}"),
-            name => format!("primitive {k} ({name})"),
-        });
-    let names = names.collect::<Vec<_>>().join(", ");
-    let more = places.len().saturating_sub(NAMES_LISTED);
-    let more = if more > 0 {
-        format!(" and {more} more")
-    } else {
-        String::new()
-    };
-    let vertices = if gone.len() == 1 { "vertex" } else { "vertices" };
-    let message = format!(
-        "{} {vertices} of points and lines, or in no triangle, stood on surface that the edit has taken, and stay: \
-         {names}{more}",
-        gone.len()
-    );
-    (!gone.is_empty()).then(|| DeformerWarning::new("loose-vertices-stay", message, ""))
 }
 
 impl RidingVertices {

@@ -112,6 +112,8 @@ pub struct Shader {
     normals: Vec<Vec3>,
     tangents: Vec<Vec4>,
     primitives: Vec<Primitive>,
+    /// Vertices in no triangle with normals, each with the corner whose turn it takes.
+    beside: Vec<(u32, u32)>,
 }
 
 impl Shader {
@@ -123,6 +125,7 @@ impl Shader {
             normals: model.normals.clone(),
             tangents: model.tangents.clone(),
             primitives: model.primitives.clone(),
+            beside: beside(&model.triangles, &model.normals, &model.primitives, rest),
         }
     }
 
@@ -134,8 +137,17 @@ impl Shader {
             tangents,
             primitives,
             rest,
+            beside,
         } = self;
-        shade(triangles, normals, tangents, primitives, rest, positions)
+        let authored = Authored {
+            triangles,
+            normals,
+            tangents,
+            primitives,
+            rest,
+            beside,
+        };
+        authored.shade(positions)
     }
 
     /// Bytes held, without the rest positions, which are shared.
@@ -143,7 +155,8 @@ impl Shader {
         let bytes = size_of_val(self.triangles.as_slice())
             + size_of_val(self.normals.as_slice())
             + size_of_val(self.tangents.as_slice())
-            + size_of_val(self.primitives.as_slice());
+            + size_of_val(self.primitives.as_slice())
+            + size_of_val(self.beside.as_slice());
         bytes as u64
     }
 }
@@ -153,54 +166,80 @@ impl Shader {
 /// Authored normals and tangents follow the deformation. Primitives that came without normals get the smooth normals of the
 /// deformed shape; without tangents, zeros.
 pub fn shading(model: &Geometry, rest: &[DVec3], positions: &[DVec3]) -> Shading {
-    shade(
-        &model.triangles,
-        &model.normals,
-        &model.tangents,
-        &model.primitives,
+    let authored = Authored {
+        triangles: &model.triangles,
+        normals: &model.normals,
+        tangents: &model.tangents,
+        primitives: &model.primitives,
         rest,
-        positions,
-    )
+        beside: &beside(&model.triangles, &model.normals, &model.primitives, rest),
+    };
+    authored.shade(positions)
 }
 
-/// The same of arrays: `rest` is the shape that normals and tangents are of.
-pub(super) fn shade(
-    triangles: &[[u32; 3]],
-    authored_normals: &[Vec3],
-    authored_tangents: &[Vec4],
-    primitives: &[Primitive],
-    rest: &[DVec3],
-    positions: &[DVec3],
-) -> Shading {
-    let count = positions.len();
-    let gradients = if authored_normals.len() == count && rest.len() == count {
-        shading::gradients(rest, positions, triangles, triangles, count)
-    } else {
-        vec![None; count]
-    };
-    let authored = marked_vertices(primitives, count, |p| p.has_normals && authored_normals.len() == count);
-    let mut normals = if authored.iter().all(|&a| a) && !authored.is_empty() {
-        vec![Vec3::Z; count]
-    } else {
-        shading::smooth_normals(positions, triangles)
-    };
-    for v in (0..count).filter(|&v| authored[v]) {
-        let normal = authored_normals[v];
-        normals[v] = gradients[v]
-            .as_ref()
-            .map_or(normal, |g| shading::carry_normal(g, normal));
+/// Vertices in no triangle with normals, each with the corner nearest to it.
+fn beside(triangles: &[[u32; 3]], normals: &[Vec3], primitives: &[Primitive], rest: &[DVec3]) -> Vec<(u32, u32)> {
+    if normals.len() != rest.len() {
+        return Vec::new();
     }
-    let with_tangents = marked_vertices(primitives, count, |p| {
-        p.has_tangents && authored_tangents.len() == count
-    });
-    let mut tangents = vec![Vec4::ZERO; count];
-    for v in (0..count).filter(|&v| with_tangents[v]) {
-        let tangent = authored_tangents[v];
-        tangents[v] = gradients[v]
-            .as_ref()
-            .map_or(tangent, |g| shading::carry_tangent(g, tangent, normals[v]));
+    let authored = primitives.iter().filter(|p| p.has_normals);
+    shading::nearest_corners(rest, triangles, authored.flat_map(Primitive::vertices))
+}
+
+/// Normals and tangents as they are authored.
+pub(super) struct Authored<'a> {
+    pub triangles: &'a [[u32; 3]],
+    pub normals: &'a [Vec3],
+    pub tangents: &'a [Vec4],
+    pub primitives: &'a [Primitive],
+    /// The shape that they are of.
+    pub rest: &'a [DVec3],
+    /// Vertices in no triangle, each with the corner whose turn it takes.
+    pub beside: &'a [(u32, u32)],
+}
+
+impl Authored<'_> {
+    /// Those of a deformed shape.
+    pub fn shade(&self, positions: &[DVec3]) -> Shading {
+        let Self {
+            triangles,
+            primitives,
+            rest,
+            ..
+        } = self;
+        let count = positions.len();
+        let mut gradients = if self.normals.len() == count && rest.len() == count {
+            shading::gradients(rest, positions, triangles, triangles, count)
+        } else {
+            vec![None; count]
+        };
+        for &(vertex, corner) in self.beside {
+            if (vertex as usize) < count {
+                gradients[vertex as usize] = gradients[corner as usize];
+            }
+        }
+        let authored = marked_vertices(primitives, count, |p| p.has_normals && self.normals.len() == count);
+        let mut normals = if authored.iter().all(|&a| a) && !authored.is_empty() {
+            vec![Vec3::Z; count]
+        } else {
+            shading::smooth_normals(positions, triangles)
+        };
+        for v in (0..count).filter(|&v| authored[v]) {
+            let normal = self.normals[v];
+            normals[v] = gradients[v]
+                .as_ref()
+                .map_or(normal, |g| shading::carry_normal(g, normal));
+        }
+        let with_tangents = marked_vertices(primitives, count, |p| p.has_tangents && self.tangents.len() == count);
+        let mut tangents = vec![Vec4::ZERO; count];
+        for v in (0..count).filter(|&v| with_tangents[v]) {
+            let tangent = self.tangents[v];
+            tangents[v] = gradients[v]
+                .as_ref()
+                .map_or(tangent, |g| shading::carry_tangent(g, tangent, normals[v]));
+        }
+        Shading { normals, tangents }
     }
-    Shading { normals, tangents }
 }
 
 /// For every vertex, whether it lies in a primitive for which `holds` is true.
@@ -236,6 +275,7 @@ mod tests {
             normals: [[bent; 3], [Vec3::ZERO; 3]].concat(),
             tangents: [[Vec4::new(0.0, 1.0, 0.0, -1.0); 3], [Vec4::ZERO; 3]].concat(),
             primitives: vec![primitive(0, true), primitive(3, false)],
+            beside: Vec::new(),
         };
         let still = shader.shade(&rest);
         assert_eq!(

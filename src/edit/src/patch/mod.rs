@@ -123,7 +123,9 @@ fn lost_vertices(surface: &SurfaceView<'_>, patch: &SurfacePatch, triangles: &[[
             }
         }
     }
-    missing[old..].fill(true);
+    for (missing, vertex) in missing[old..].iter_mut().zip(&patch.vertices) {
+        *missing = vertex.point != NONE;
+    }
     for t in triangles {
         // Reading is cheaper than writing: few are missing.
         if t.iter().any(|&v| missing[v as usize]) {

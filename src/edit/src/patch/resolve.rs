@@ -106,6 +106,11 @@ impl ResolvedPatch {
             if !v.position.is_finite() {
                 return refuse(format!("lies at {}, which is not a finite place", v.position));
             }
+            if v.point == NONE {
+                let run = run_of(first_vertex, surface.positions.len(), v.primitive);
+                check_blend(&run, v.of, v.weights).or_else(refuse)?;
+                continue;
+            }
             if v.point > next {
                 return refuse(format!("names point {} where {next} is the next new one", v.point));
             }
@@ -208,7 +213,8 @@ impl ResolvedPatch {
     /// Numbers the points that are left and writes what depends on that.
     pub fn number_points(&self, surface: &SurfaceView<'_>, patch: &SurfacePatch, applied: &mut PatchedSurface) {
         let old_vertices = surface.positions.len();
-        let fresh = patch.vertices.iter().map(|v| v.point + 1).max().unwrap_or(0);
+        let points = patch.vertices.iter().map(|v| v.point).filter(|&p| p != NONE);
+        let fresh = points.map(|p| p + 1).max().unwrap_or(0);
         let all = fresh.max(surface.points);
         applied.point_of.reserve_exact(applied.old_from_vertex.len());
         applied.point_of.extend(applied.old_from_vertex.iter().map(|&v| {

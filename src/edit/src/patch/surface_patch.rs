@@ -69,7 +69,8 @@ pub struct NewVertex {
     /// The primitive that it belongs to.
     pub primitive: u32,
     /// Its point: an old one, or, from [`SurfaceView::points`](crate::SurfaceView::points) on, a new one. New points are numbered in the order in which
-    /// the new vertices first name them, without gaps.
+    /// the new vertices first name them, without gaps. [`NONE`](pliant_mesh::NONE) for one of a line beside the surface, which is
+    /// in no triangle.
     pub point: u32,
     /// Where it is.
     pub position: DVec3,

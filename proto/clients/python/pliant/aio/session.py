@@ -158,16 +158,29 @@ class Session(Declared):
         of them relative or absolute as `path` is.
 
         A .gltf comes with its buffers and images, which lie beside it. One of them that would replace a file with other
-        bytes raises `FileExistsError` before anything is written, unless `force` is set.
+        bytes raises `FileExistsError` before anything is written, unless `force` is set. What the files do not hold is a
+        warning of Python (`UserWarning`).
         """
         path = Path(path)
         files = await self.export_bytes(format or path.suffix.lstrip(".").lower())
         return await self._calls.transport.aside(model.write, path, files, force)
 
     async def export_bytes(self, format: str = "") -> dict[str, bytes]:
-        """The model in its current shape by file: "" is the main one, others are companions by URI."""
+        """The model in its current shape by file: "" is the main one, others are companions by URI.
+
+        What the files do not hold is a warning of Python (`UserWarning`), as of :meth:`export`.
+        """
+        chunks = await self._exported(format)
+        model.warn_of(chunks)
+        return model.joined(chunks)
+
+    async def _preview_bytes(self) -> bytes:
+        """The model in its current shape as a PLY for a picture, which shows no more than that."""
+        return model.joined(await self._exported("ply"))[""]
+
+    async def _exported(self, format: str) -> list[pb.Chunk]:
         request = pb.ExportRequest(session_id=self.id, format=format)
-        return model.joined(await self._calls.many("Export", request))
+        return list(await self._calls.many("Export", request))
 
     async def carry(self, points: Any, rotations: Any = None) -> Carried:
         """Carries points of the rest pose, (points, 3), along with the current shape: on the model, in it or around it.

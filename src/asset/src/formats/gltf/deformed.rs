@@ -170,7 +170,15 @@ impl RowWriter<'_, '_> {
 
     /// Deformation gradients of the row's vertices, in world space.
     fn gradients(&self) -> Vec<Option<DMat3>> {
-        let PlacedPrimitive { vertices, .. } = self.row;
+        let PlacedPrimitive {
+            vertices, triangles, ..
+        } = self.row;
+        if triangles.is_empty() {
+            // Points and lines turn with the surface around them.
+            let NewShape { rest, positions, .. } = self.shape;
+            let all = shading::gradients_of_all(&rest.positions, positions, &rest.triangles, vertices.clone());
+            return all[vertices.clone()].to_vec();
+        }
         let triangles = self.local_triangles();
         let (rest, now) = (
             &self.shape.rest.positions[vertices.clone()],

@@ -224,6 +224,11 @@ impl FormatCodec for GltfCodec {
         edited::run_attributes(edited, runs)
     }
 
+    fn segments(&self, model: &Model) -> Result<Vec<[u32; 2]>, Error> {
+        let notes: &GltfNotes = model.notes_or_refuse(model.format)?;
+        edited::segments(&notes.loaded_document(model)?, notes)
+    }
+
     fn distinguish_vertices(&self, model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
         edited::distinguish_vertices(model, model.notes_or_refuse(model.format)?, keys)
     }

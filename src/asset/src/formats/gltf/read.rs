@@ -294,6 +294,9 @@ impl GltfReader<'_, '_> {
         let used = used.chain(primitive.indices.map(|i| i.index()));
         doc.decode_for(used.chain(coordinates.iter().copied()))?;
 
+        if class == PrimitiveClass::PointsAndLines {
+            self.warn_of_drawn_indices(primitive, count, &place())?;
+        }
         let triangles = if most > 0 {
             self.read_triangles(primitive, count as usize, &place())?
         } else {
@@ -405,6 +408,25 @@ impl GltfReader<'_, '_> {
             self.warn("incomplete-triangle", message, place);
         }
         Ok(to_triangles(&corners, primitive.mode()))
+    }
+
+    /// Warns of indices of points and lines that name no vertex. They stay as they are stored until an edit leaves them out.
+    fn warn_of_drawn_indices(&mut self, primitive: &MeshPrimitive, vertices: u64, place: &str) -> Result<(), Error> {
+        let Some(indices) = primitive.indices else {
+            return Ok(());
+        };
+        let bytes = self.doc.accessors.values[indices.index()].count.0.saturating_mul(8);
+        self.watch.reserve(bytes)?;
+        let stored = self.doc.read_indices(indices.index())?;
+        let beyond = stored.iter().filter(|v| u64::from(**v) >= vertices).count();
+        self.watch.release(bytes);
+        if beyond > 0 {
+            let message = format!(
+                "{beyond} indices of points or lines name no vertex, there are {vertices}; an edit leaves them out"
+            );
+            self.warn("bad-line-index", message, place);
+        }
+        Ok(())
     }
 
     /// How joints put the vertices of a primitive into the world; `None` where its node does. A skin that cannot say leaves

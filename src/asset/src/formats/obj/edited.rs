@@ -1,6 +1,7 @@
 //! OBJ out after edits of the topology, and what an edited OBJ gives to other formats.
 
 use super::super::text::{NumberPrecision, push_number};
+use super::foreign::{ForeignBases, WrittenLines};
 use super::library::{MaterialLibrary, read_libraries};
 use super::read::{ObjNotes, has_no_number, read_statements};
 use super::statements::{
@@ -36,6 +37,8 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<WrittenFiles, Er
             out.push(b'\n');
         }
     }
+    let foreign = ForeignBases::of_output(output, &all)?;
+    let mut companions = foreign.write_library(&mut out);
     for run in edited.runs {
         write_vertices(
             &mut out,
@@ -70,11 +73,11 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<WrittenFiles, Er
         }
     }
     faces.write_faces(&mut out);
-    for base in (0..edited.bases.len()).filter(|&b| all[b].is_none()) {
-        foreign_base(&mut out, output, base as u32, &mut faces)?;
+    for (base, neutral) in &foreign.bases {
+        foreign.write_base(&mut out, output, *base, neutral, &mut faces.written);
     }
     // Libraries and pictures of every base; where two have one name, the first base's.
-    let mut companions = BTreeMap::new();
+    let mut hidden: Vec<String> = Vec::new();
     for base in edited
         .bases
         .iter()
@@ -82,7 +85,10 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<WrittenFiles, Er
         .filter_map(|(base, own)| own.as_ref().map(|_| base))
     {
         for (name, bytes) in &base.model.files.companions {
-            companions.entry(name.clone()).or_insert_with(|| bytes.to_vec());
+            let there = companions.entry(name.clone()).or_insert_with(|| bytes.to_vec());
+            if there.as_slice() != &bytes[..] {
+                hidden.push(format!("the {name} of a merged model, which the first one has too"));
+            }
         }
     }
     let of_others = counted(
@@ -94,11 +100,14 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<WrittenFiles, Er
         .into_iter()
         .flatten()
         .collect();
-    let left_out = WrittenWarning::left_out(&lost, output.format, "after the edit ");
+    let hidden = WrittenWarning::left_out(&hidden, output.format, "after the merge ");
+    let left_out = WrittenWarning::left_out(&lost, output.format, "after the edit ")
+        .into_iter()
+        .chain(hidden);
     Ok(WrittenFiles {
         main: out,
         companions,
-        warnings: left_out.into_iter().collect(),
+        warnings: left_out.collect(),
         ..WrittenFiles::default()
     })
 }
@@ -138,9 +147,7 @@ struct EditedFace<'a> {
 struct EditedFaces<'a> {
     list: Vec<EditedFace<'a>>,
     bases: usize,
-    /// `vt` and `vn` lines written so far.
-    textures: u64,
-    normals: u64,
+    written: WrittenLines,
 }
 
 /// What of lines and points an edit has taken.
@@ -150,6 +157,41 @@ struct LostElements {
     lines: usize,
     /// Vertices of other lines, and of points.
     vertices: usize,
+}
+
+/// Lines that follow each other, or points.
+struct ElementChain<'e, 'a> {
+    /// The first of them.
+    element: &'e ObjElement<'a>,
+    /// The vertices of all.
+    vertices: Vec<u32>,
+    /// How many there are.
+    count: usize,
+}
+
+/// Lines and points, where lines one after the other that meet at a vertex which is gone are one line.
+fn chained<'e, 'a>(elements: &'e [ObjElement<'a>], followed: &FollowedLines) -> Vec<ElementChain<'e, 'a>> {
+    let mut chains: Vec<ElementChain<'e, 'a>> = Vec::new();
+    for element in elements {
+        let joint = element.vertices.first().filter(|v| followed.vertex(**v).is_none());
+        match chains.last_mut() {
+            Some(last)
+                if joint.is_some()
+                    && last.vertices.last() == joint
+                    && [last.element.keyword, element.keyword] == [b'l'; 2]
+                    && last.element.state == element.state =>
+            {
+                last.vertices.extend(&element.vertices[1..]);
+                last.count += 1;
+            }
+            _ => chains.push(ElementChain {
+                element,
+                vertices: element.vertices.clone(),
+                count: 1,
+            }),
+        }
+    }
+    chains
 }
 
 impl<'a> EditedFaces<'a> {
@@ -177,7 +219,7 @@ impl<'a> EditedFaces<'a> {
         // Corners that turned alike share a line, as they did before.
         let mut lines: BTreeMap<[u32; 3], u64> = BTreeMap::new();
         let mut line_of = Vec::with_capacity(parted.normals.len());
-        let first_normal = self.normals;
+        let first_normal = self.written.normals;
         for normal in &parted.normals {
             let bits = normal.value.to_array().map(f32::to_bits);
             let next = first_normal + lines.len() as u64 + 1;
@@ -200,7 +242,7 @@ impl<'a> EditedFaces<'a> {
             for &corner in corners {
                 let (i, k) = (corner as usize / 3, corner as usize % 3);
                 let vertex = u64::from(parted.triangles[i][k]) + u64::from(run.first_vertex) + 1;
-                let texture = parted.corner_textures[i].map(|t| self.textures + u64::from(t[k]) + 1);
+                let texture = parted.corner_textures[i].map(|t| self.written.textures + u64::from(t[k]) + 1);
                 let normal = parted.corner_normals[i].map(|n| line_of[n[k] as usize]);
                 push_corner(&mut text, vertex, texture, normal);
             }
@@ -213,8 +255,8 @@ impl<'a> EditedFaces<'a> {
             });
         });
         self.bases = self.bases.max(run.base as usize);
-        self.textures += parted.textures.len() as u64;
-        self.normals += lines.len() as u64;
+        self.written.textures += parted.textures.len() as u64;
+        self.written.normals += lines.len() as u64;
     }
 
     /// Takes note of lines and points, and of what of them is gone.
@@ -226,41 +268,37 @@ impl<'a> EditedFaces<'a> {
         lost: &mut LostElements,
     ) {
         let objects = object_numbers(&statements.states);
-        for ObjElement {
-            state,
-            keyword,
+        for ElementChain {
+            element,
             vertices,
-        } in &statements.elements
+            count,
+        } in chained(&statements.elements, followed)
         {
-            let there = match keyword {
-                b'l' => {
-                    let (line, gone) = followed.line(vertices);
-                    let Some(line) = line else {
-                        lost.lines += 1;
-                        continue;
-                    };
-                    lost.vertices += gone;
-                    line
-                }
+            let (pieces, gone) = match element.keyword {
+                b'l' => followed.line(&vertices),
                 _ => {
                     let there: Vec<u32> = vertices.iter().filter_map(|v| followed.vertex(*v)).collect();
-                    lost.vertices += vertices.len() - there.len();
-                    there
+                    let gone = vertices.len() - there.len();
+                    (if there.is_empty() { Vec::new() } else { vec![there] }, gone)
                 }
             };
-            if there.is_empty() {
-                continue;
+            match (element.keyword, pieces.is_empty()) {
+                (b'l', true) => lost.lines += count,
+                _ => lost.vertices += gone,
             }
-            let numbers: String = there.iter().map(|v| format!(" {}", u64::from(*v) + 1)).collect();
-            self.list.push(EditedFace {
-                order: (
-                    base,
-                    objects.get(&state.object).copied().unwrap_or(objects.len()),
-                    state.material.is_some(),
-                ),
-                state: *state,
-                text: [&[*keyword], numbers.as_bytes()].concat(),
-            });
+            let state = element.state;
+            for piece in pieces {
+                let numbers: String = piece.iter().map(|v| format!(" {}", u64::from(*v) + 1)).collect();
+                self.list.push(EditedFace {
+                    order: (
+                        base,
+                        objects.get(&state.object).copied().unwrap_or(objects.len()),
+                        state.material.is_some(),
+                    ),
+                    state,
+                    text: [&[element.keyword], numbers.as_bytes()].concat(),
+                });
+            }
         }
     }
 
@@ -292,53 +330,6 @@ impl<'a> EditedFaces<'a> {
             out.push(b'\n');
         }
     }
-}
-
-/// A base of another format: its vertices stand already.
-fn foreign_base(
-    out: &mut Vec<u8>,
-    output: &EditedOutput<'_>,
-    base: u32,
-    faces: &mut EditedFaces<'_>,
-) -> Result<(), Error> {
-    let neutral = (output.neutral_base)(base)?;
-    for (run, own) in output.edited.runs_with_triangles(base).zip(neutral.primitives()) {
-        let (primitive, has_uv) = (own.primitive, own.attributes.has_uv);
-        if has_uv {
-            for [u, v] in &neutral.uv[own.vertices.clone()] {
-                out.extend_from_slice(b"vt ");
-                push_numbers(out, &[f64::from(*u), 1.0 - f64::from(*v)]);
-                out.push(b'\n');
-            }
-        }
-        if primitive.has_normals {
-            for normal in &neutral.geometry.normals[own.vertices.clone()] {
-                push_line(out, b"vn ", normal.as_dvec3(), NumberPrecision::Single, b"\n");
-            }
-        }
-        let mut name = printable(&primitive.name);
-        if name.is_empty() {
-            name = format!("merged{base}");
-        }
-        out.extend(format!("o {name}\n").bytes());
-        if let Some(material) = &own.attributes.material {
-            out.extend(format!("usemtl {}\n", printable(&material.name)).bytes());
-        }
-        own.each_face(|corners| {
-            out.push(b'f');
-            for &corner in corners {
-                let local = u64::from(own.vertex_at(corner) - primitive.first_vertex) + 1;
-                let texture = has_uv.then_some(faces.textures + local);
-                let normal = primitive.has_normals.then_some(faces.normals + local);
-                push_corner(out, local + u64::from(run.first_vertex), texture, normal);
-            }
-            out.push(b'\n');
-        });
-        let count = own.vertices.len() as u64;
-        faces.textures += if has_uv { count } else { 0 };
-        faces.normals += if primitive.has_normals { count } else { 0 };
-    }
-    Ok(())
 }
 
 /// Texture coordinates, colours and the first material of runs, for formats that divide no vertices.

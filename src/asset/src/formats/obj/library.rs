@@ -65,6 +65,7 @@ fn picture_names(text: &[u8], add: &mut impl FnMut(String)) {
 /// has.
 pub(super) fn warn_of_missing(files: &FileSet, geometry: &mut Geometry) {
     let (mut libraries, mut pictures, mut heights) = (BTreeSet::new(), BTreeSet::new(), BTreeSet::new());
+    let mut elsewhere = BTreeSet::new();
     for names in library_lines(files).map(library_names) {
         let mut there = names.iter().filter_map(|name| files.companions.get(name)).peekable();
         // A line is one name with blanks, or several names: where one of them is there, the others are no more than guesses.
@@ -78,6 +79,7 @@ pub(super) fn warn_of_missing(files: &FileSet, geometry: &mut Geometry) {
                     pictures.insert(name);
                 }
             });
+            elsewhere.extend(normals_elsewhere(text));
             statements_of(text, |keyword, rest| {
                 let is_height = matches!(&keyword.to_ascii_lowercase()[..], "map_bump" | "bump");
                 heights.extend(picture_name(rest).filter(|name| is_height && files.companions.contains_key(name)));
@@ -109,11 +111,38 @@ pub(super) fn warn_of_missing(files: &FileSet, geometry: &mut Geometry) {
         "mtllib",
     );
     warn(
+        "normals-elsewhere",
+        &elsewhere,
+        "pictures of normals (norm) with -o or -s of their own, which stay with the OBJ and go into no other format",
+        "mtllib",
+    );
+    warn(
         "image-missing",
         &pictures,
         "images that were not sent along with the model; it comes back without them",
         "mtllib",
     );
+}
+
+/// The pictures of normals that lie elsewhere than those of colours.
+fn normals_elsewhere(text: &[u8]) -> Vec<String> {
+    let mut found = Vec::new();
+    let (mut colours, mut normals) = (None, None);
+    let mut finish = |colours: &mut Option<PicturePlacing>, normals: &mut Option<(String, PicturePlacing)>| {
+        if let (Some(colours), Some((name, placing))) = (colours.take(), normals.take())
+            && colours != placing
+        {
+            found.push(name);
+        }
+    };
+    statements_of(text, |keyword, rest| match keyword {
+        "newmtl" => finish(&mut colours, &mut normals),
+        "map_Kd" => colours = picture_name(rest).map(|_| placing_of(rest)),
+        "norm" => normals = picture_name(rest).map(|name| (name, placing_of(rest))),
+        _ => {}
+    });
+    finish(&mut colours, &mut normals);
+    found
 }
 
 /// Hands out the statements of a library: keyword and the rest of the line.
@@ -127,11 +156,19 @@ fn statements_of(text: &[u8], mut statement: impl FnMut(&str, &str)) {
     }
 }
 
-/// The name of a picture behind the options of its statement.
+/// The name of a picture behind the options of its statement, or before them, as some programs write it.
 fn picture_name(rest: &str) -> Option<String> {
+    let left = after_options(rest);
+    let is_option = |at: &usize| left[..*at].ends_with(char::is_whitespace) && after_options(&left[*at..]).is_empty();
+    let end = left.match_indices('-').map(|(at, _)| at).find(is_option);
+    inside_folder(left[..end.unwrap_or(left.len())].trim_end())
+}
+
+/// What follows the options that a statement begins with.
+fn after_options(rest: &str) -> &str {
     let mut words = rest.split_whitespace().peekable();
     let mut left = rest;
-    while let Some(option) = words.next_if(|word| word.starts_with('-') && word.len() > 1) {
+    while let Some(option) = words.next_if(|word| OPTIONS.contains(word)) {
         left = after_word(left, option);
         let most = match option {
             "-o" | "-s" | "-t" => 3,
@@ -147,8 +184,26 @@ fn picture_name(rest: &str) -> Option<String> {
             left = after_word(left, value);
         }
     }
-    inside_folder(left)
+    left
 }
+
+/// The options of statements that name pictures.
+const OPTIONS: [&str; 14] = [
+    "-blendu",
+    "-blendv",
+    "-bm",
+    "-boost",
+    "-cc",
+    "-clamp",
+    "-colorspace",
+    "-imfchan",
+    "-mm",
+    "-o",
+    "-s",
+    "-t",
+    "-texres",
+    "-type",
+];
 
 /// The picture that a statement names.
 fn picture_of(rest: &str, files: &FileSet) -> Option<MaterialPicture> {
@@ -156,6 +211,9 @@ fn picture_of(rest: &str, files: &FileSet) -> Option<MaterialPicture> {
     let bytes = files.companions.get(&name).cloned();
     Some(MaterialPicture { name, bytes })
 }
+
+/// Larger scales and offsets are taken as not given: nothing of a picture is left there.
+const LARGEST_PLACING: f64 = 1e6;
 
 /// Where texture coordinates lie on the picture that a statement names: `-s` scales them, then `-o` moves them.
 fn placing_of(rest: &str) -> PicturePlacing {
@@ -165,7 +223,7 @@ fn placing_of(rest: &str) -> PicturePlacing {
             words
                 .next()
                 .and_then(|word| number(word.as_bytes()))
-                .filter(|x| x.is_finite())
+                .filter(|x| x.abs() <= LARGEST_PLACING)
         };
         let first = next();
         [first.unwrap_or(missing), first.and_then(|_| next()).unwrap_or(missing)]
@@ -197,8 +255,12 @@ pub(super) fn read_libraries(files: &FileSet, lines: &[&[u8]]) -> MaterialLibrar
 
 fn read_library(text: &[u8], files: &FileSet, library: &mut MaterialLibrary) {
     let mut current: Option<NamedMaterial> = None;
-    let mut keep = |material: Option<NamedMaterial>| {
-        if let Some(material) = material {
+    let mut normals_at = PicturePlacing::PLAIN;
+    let mut keep = |material: Option<NamedMaterial>, normals_at: PicturePlacing| {
+        if let Some(mut material) = material {
+            if let Some(look) = &mut material.look {
+                place_normals(look, normals_at);
+            }
             // The first of a name counts, as in other readers.
             library
                 .entry(material.name.clone())
@@ -209,7 +271,8 @@ fn read_library(text: &[u8], files: &FileSet, library: &mut MaterialLibrary) {
         if keyword == "newmtl" {
             let look = Some(BaseLook::default());
             let name = rest.to_owned();
-            keep(current.replace(NamedMaterial { name, look }));
+            keep(current.replace(NamedMaterial { name, look }), normals_at);
+            normals_at = PicturePlacing::PLAIN;
             return;
         }
         let Some(look) = current.as_mut().and_then(|m| m.look.as_mut()) else {
@@ -242,12 +305,28 @@ fn read_library(text: &[u8], files: &FileSet, library: &mut MaterialLibrary) {
                 look.picture = picture_of(rest, files);
                 look.placing = placing_of(rest);
             }
-            "norm" => look.normals = picture_of(rest, files),
+            "norm" => {
+                look.normals = picture_of(rest, files);
+                normals_at = placing_of(rest);
+            }
             "map_d" => look.coverage = AlphaMode::Blend,
             _ => {}
         }
     });
-    keep(current);
+    keep(current, normals_at);
+}
+
+/// Texture coordinates are placed once for both pictures: a picture of normals that lies elsewhere than the one of colours is left
+/// out, which [`warn_of_missing`] tells.
+fn place_normals(look: &mut BaseLook, normals_at: PicturePlacing) {
+    if look.normals.is_none() {
+        return;
+    }
+    if look.picture.is_none() {
+        look.placing = normals_at;
+    } else if look.placing != normals_at {
+        look.normals = None;
+    }
 }
 
 /// The text of a library of materials, each with its name, and the pictures that they need by the names of their files.

@@ -4,6 +4,7 @@
 //! (materials, groups, curves, whatever is unknown) are never interpreted, so they survive untouched.
 
 mod edited;
+mod foreign;
 mod library;
 mod read;
 mod statements;
@@ -60,6 +61,14 @@ impl FormatCodec for ObjCodec {
 
     fn face_outlines<'a>(&self, model: &'a Model) -> Option<&'a FaceOutlines> {
         model.notes::<read::ObjNotes>().map(|notes| &notes.outlines)
+    }
+
+    fn segments(&self, model: &Model) -> Result<Vec<[u32; 2]>, Error> {
+        let statements = read::read_statements(&model.files.main);
+        let lines = statements.elements.iter().filter(|element| element.keyword == b'l');
+        Ok(lines
+            .flat_map(|line| line.vertices.windows(2).map(|pair| [pair[0], pair[1]]))
+            .collect())
     }
 
     fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {

@@ -7,7 +7,7 @@
 //! the first of them and the others get new lines.
 
 use super::super::polygons::Polygons;
-use super::super::text::{TextLexer, TextToken, number, shown};
+use super::super::text::{TextLexer, TextToken, number, refuse_utf16, shown};
 use super::statements::{
     FaceCorner, FaceState, NO_NORMAL, NO_TEXTURE, ObjElement, ObjStatements, STYLE, parse_numbers, resolve,
 };
@@ -70,6 +70,7 @@ fn recognise(bytes: &[u8]) -> Recognition {
 /// Reads an OBJ file.
 pub(super) fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, ObjNotes), Error> {
     check_main_size(bytes)?;
+    refuse_utf16(bytes, FORMAT)?;
     let mut reader = ObjReader::new(bytes, watch.clone());
     reader.read_statements()?;
     reader.finish()
@@ -98,6 +99,9 @@ pub(super) struct ObjReader<'a> {
     small_faces: Occurrences,
     bad_normals: Occurrences,
     bad_coordinates: Occurrences,
+    /// The largest vertex that lines and points name, with its line; and words that name none.
+    largest_drawn: (u32, u32),
+    bad_drawn: Occurrences,
     beyond: BeyondFaces,
 }
 
@@ -133,6 +137,8 @@ impl<'a> ObjReader<'a> {
             small_faces: Occurrences::default(),
             bad_normals: Occurrences::default(),
             bad_coordinates: Occurrences::default(),
+            largest_drawn: (0, 0),
+            bad_drawn: Occurrences::default(),
             beyond: BeyondFaces::default(),
         }
     }
@@ -177,11 +183,11 @@ impl<'a> ObjReader<'a> {
                 }
                 b"l" => {
                     self.beyond.lines += 1;
-                    self.keep_element(b'l');
+                    self.read_element(keyword);
                 }
                 b"p" => {
                     self.beyond.points += 1;
-                    self.keep_element(b'p');
+                    self.read_element(keyword);
                 }
                 b"curv" | b"surf" => self.beyond.curves += 1,
                 _ => {}
@@ -191,18 +197,27 @@ impl<'a> ObjReader<'a> {
         Ok(())
     }
 
-    /// Keeps a line or points, where that is asked for, with the vertices that there are.
-    fn keep_element(&mut self, keyword: u8) {
+    /// Looks at a line or points, and keeps them where that is asked for, with the vertices that there are.
+    fn read_element(&mut self, keyword: TextToken) {
         let count = self.positions.len() as u32;
-        let Some(kept) = &mut self.kept else { return };
-        let words = std::iter::from_fn(|| self.lexer.token_on_line());
-        let corners: Vec<TextToken> = words.collect();
-        let vertex = |word: &TextToken| resolve(FaceCorner::parse(&self.lexer, *word)?.vertex, count);
-        kept.out.elements.push(ObjElement {
-            state: kept.state,
-            keyword,
-            vertices: corners.iter().filter_map(vertex).collect(),
-        });
+        let mut vertices = Vec::new();
+        while let Some(word) = self.lexer.token_on_line() {
+            let vertex = FaceCorner::parse(&self.lexer, word).and_then(|corner| resolve(corner.vertex, count));
+            match vertex {
+                Some(vertex) if self.kept.is_some() => vertices.push(vertex),
+                Some(vertex) if vertex < self.largest_drawn.0 => {}
+                Some(vertex) => self.largest_drawn = (vertex, keyword.line),
+                None => self.bad_drawn.count_on_line(keyword.line),
+            }
+        }
+        let word = self.lexer.text(keyword)[0];
+        if let Some(kept) = &mut self.kept {
+            kept.out.elements.push(ObjElement {
+                state: kept.state,
+                keyword: word,
+                vertices,
+            });
+        }
     }
 
     fn read_triple(&mut self, keyword: TextToken) -> Result<[TextToken; 3], Error> {
@@ -313,6 +328,10 @@ impl<'a> ObjReader<'a> {
             .as_ref()
             .and_then(|n| n.per_vertex(self.positions.len()))
             .unwrap_or_default();
+        let mut bad_drawn = self.bad_drawn;
+        if self.largest_drawn.0 as usize >= self.positions.len() && self.largest_drawn.1 > 0 {
+            bad_drawn.count_on_line(self.largest_drawn.1);
+        }
         let mut geometry = Geometry::from_one_mesh(self.positions, per_vertex, triangles);
         let mut warn = |code: &str, seen: Occurrences, what: &str| {
             if seen.count > 0 {
@@ -333,6 +352,11 @@ impl<'a> ObjReader<'a> {
             "bad-texture-coordinate",
             self.bad_coordinates,
             "texture coordinates are not finite; where they are rewritten they become 0",
+        );
+        warn(
+            "bad-line-index",
+            bad_drawn,
+            "indices of lines or points name no vertex; an edit leaves them out",
         );
         geometry.warn_about_crude_polygons(crude);
         let notes = ObjNotes {

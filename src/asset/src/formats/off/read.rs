@@ -3,7 +3,7 @@
 //! OFF out: the uploaded text with the changed numbers replaced, or a fresh text.
 
 use super::super::polygons::Polygons;
-use super::super::text::{NumberPrecision, TextLexer, TextPatch, TextStyle, integer, push_triple, shown};
+use super::super::text::{NumberPrecision, TextLexer, TextPatch, TextStyle, integer, push_triple, refuse_utf16, shown};
 use crate::edited::FaceOutlines;
 use crate::files::{ReadWatch, check_main_size};
 use crate::format::{FormatDetails, Recognition};
@@ -68,6 +68,7 @@ fn malformed(line: u32, problem: impl Into<String>) -> Error {
 /// Reads an OFF file.
 pub(super) fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, OffNotes), Error> {
     check_main_size(bytes)?;
+    refuse_utf16(bytes, FORMAT)?;
     let mut lexer = TextLexer::new(bytes, STYLE);
     let has_normals = read_header(&mut lexer)?;
     let (vertex_count, vertex_line) = read_count(&mut lexer, "vertices")?;
@@ -237,15 +238,9 @@ fn read_face(
 
 /// The uploaded text with the vertices at `positions`.
 pub(super) fn patch(bytes: &[u8], notes: &OffNotes, rest: &Geometry, positions: &[DVec3]) -> Vec<u8> {
-    let gradients = notes.has_normals.then(|| {
-        shading::gradients(
-            &rest.positions,
-            positions,
-            &rest.triangles,
-            &rest.triangles,
-            positions.len(),
-        )
-    });
+    let all = 0..positions.len();
+    let gradients =
+        (notes.has_normals).then(|| shading::gradients_of_all(&rest.positions, positions, &rest.triangles, all));
     let mut lexer = TextLexer::starting_at(bytes, notes.vertices_at as usize, 1, STYLE);
     let mut patch = TextPatch::new(bytes);
     for (i, (&old, &new)) in rest.positions.iter().zip(positions).enumerate() {

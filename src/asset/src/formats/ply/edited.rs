@@ -373,12 +373,16 @@ impl EditedPlyWriter<'_, '_> {
         let own = self.edited.runs.iter().filter(|run| run.base == 0);
         let followed = FollowedLines::of_runs(self.edited, own);
         let mut lost = 0;
-        for row in &self.first.edges {
+        for (row, count) in rewired(&self.first.edges, ends, &followed) {
             let [a, b] = ends.map(|end| row[end] as u32);
-            // An edge that lies on no triangle joins its two vertices, where both are left.
-            let both = || Some(vec![[followed.vertex(a)?, followed.vertex(b)?]]);
-            let along = followed.edges_along(a, b).or_else(both).unwrap_or_default();
-            lost += usize::from(along.is_empty());
+            // An edge that lies on no triangle joins its two vertices, with what is between them.
+            let chain = followed.segment(a, b);
+            let own = || chain.windows(2).map(|pair| [pair[0], pair[1]]).collect();
+            let along = followed
+                .edges_along(a, b)
+                .filter(|along| !along.is_empty())
+                .unwrap_or_else(own);
+            lost += if along.is_empty() { count } else { count - 1 };
             for edge in along {
                 let mut row = row.clone();
                 ends.iter()
@@ -453,6 +457,68 @@ enum PropertyColumn {
     /// The same for all, 1 being the whole of the type's range.
     Constant(f64),
     Nothing,
+}
+
+/// Rows of edges, where two edges that meet at a vertex which is gone, and no other edge does, are one: the first of them, to the
+/// end of the second. With how many each was.
+fn rewired(rows: &[Vec<f64>], [from, to]: [usize; 2], followed: &FollowedLines) -> Vec<(Vec<f64>, usize)> {
+    let is_gone = |row: &[f64], end: usize| followed.vertex(row[end] as u32).is_none();
+    let mut rows: Vec<Option<(Vec<f64>, usize)>> = rows.iter().cloned().map(|row| Some((row, 1))).collect();
+    let mut at: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+    for (r, row) in rows.iter().enumerate() {
+        let Some((row, _)) = row else { continue };
+        for end in [from, to].into_iter().filter(|end| is_gone(row, *end)) {
+            at.entry(row[end] as u32).or_default().push(r);
+        }
+    }
+    // The row that each has become a part of.
+    let mut now: Vec<usize> = (0..rows.len()).collect();
+    for (vertex, met) in at {
+        let [mut first, mut second] = match met.as_slice() {
+            [a, b] if a != b => [*a, *b],
+            _ => continue,
+        };
+        while now[first] != first {
+            first = now[first];
+        }
+        while now[second] != second {
+            second = now[second];
+        }
+        if first == second {
+            continue;
+        }
+        let (first, second) = (first.min(second), first.max(second));
+        let Some((gone, count)) = rows[second].take() else {
+            continue;
+        };
+        let other = if gone[from] as u32 == vertex {
+            gone[to]
+        } else {
+            gone[from]
+        };
+        now[second] = first;
+        if let Some((row, own)) = &mut rows[first] {
+            let end = if row[from] as u32 == vertex { from } else { to };
+            row[end] = other;
+            *own += count;
+        }
+    }
+    rows.into_iter().flatten().collect()
+}
+
+/// The segments of the edges of a model, by its vertices.
+pub(super) fn segments(model: &Model) -> Result<Vec<[u32; 2]>, Error> {
+    let table = read_table(&model.files.main, &model.geometry.positions)?;
+    let ends = table
+        .header
+        .elements
+        .iter()
+        .filter(|e| e.name == "edge")
+        .find_map(edge_ends);
+    let count = model.geometry.positions.len();
+    let rows = table.edges.iter().filter_map(|row| Some(ends?.map(|end| row[end])));
+    let is_there = |ends: &[f64; 2]| ends.iter().all(|&v| v >= 0.0 && v < count as f64);
+    Ok(rows.filter(is_there).map(|ends| ends.map(|v| v as u32)).collect())
 }
 
 /// The types of the numbers of edges, of which two number so many vertices.

@@ -59,6 +59,10 @@ impl FormatCodec for PlyCodec {
         model.notes::<read::PlyNotes>().map(|notes| &notes.outlines)
     }
 
+    fn segments(&self, model: &Model) -> Result<Vec<[u32; 2]>, Error> {
+        edited::segments(model)
+    }
+
     fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {
         edited::run_attributes(edited, runs)
     }
@@ -75,7 +79,7 @@ fn patch(bytes: &[u8], notes: &PlyNotes, rest: &Geometry, positions: &[DVec3]) -
     let triangles = &rest.triangles;
     let gradients = notes
         .normal
-        .map(|_| shading::gradients(&rest.positions, positions, triangles, triangles, positions.len()));
+        .map(|_| shading::gradients_of_all(&rest.positions, positions, triangles, 0..positions.len()));
     let mut patch = TextPatch::new(bytes);
     for (property, &scalar) in properties.iter().zip(&stored) {
         if property.scalar != scalar {

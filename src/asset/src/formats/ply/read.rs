@@ -77,6 +77,7 @@ pub(super) fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, Ply
     };
     let (mut positions, mut normals) = (Vec::new(), Vec::new());
     let mut faces = Polygons::default();
+    let mut strays = 0;
     for element in &header.elements {
         let (least, left) = (element.least_bytes(header.encoding), body.bytes_left());
         if least > left {
@@ -91,12 +92,40 @@ pub(super) fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, Ply
                 (positions, normals) = read_vertices(&mut body, &notes)?;
             }
             "face" | "tristrips" => read_faces(&mut body, element, notes.vertex.rows, &mut faces, watch)?,
+            "edge" => strays += stray_ends(&mut body, element, notes.vertex.rows, watch)?,
             _ => body.skip_rows(element)?,
         }
     }
-    let (geometry, outlines) = faces.into_geometry(positions, normals, watch)?;
+    let (mut geometry, outlines) = faces.into_geometry(positions, normals, watch)?;
     notes.outlines = outlines;
+    if strays > 0 {
+        let message = format!("{strays} ends of edges name no vertex; an edit leaves these edges out");
+        geometry.warn("bad-line-index", message, "element `edge`");
+    }
     Ok((geometry, notes))
+}
+
+/// Reads over edges; how many of their ends name none of so many vertices.
+fn stray_ends(
+    body: &mut PlyBody<'_>,
+    element: &PlyElement,
+    vertices: u64,
+    watch: &ReadWatch<'_>,
+) -> Result<u64, Error> {
+    let Some(ends) = edge_ends(element) else {
+        body.skip_rows(element)?;
+        return Ok(0);
+    };
+    let mut strays = 0;
+    for row in 0..element.rows {
+        watch.check_at(row as usize)?;
+        for p in 0..element.properties.len() {
+            let value = body.read_normal(element.properties[p].scalar)?;
+            let is_there = (0.0..vertices as f64).contains(&value);
+            strays += u64::from(ends.contains(&p) && !is_there);
+        }
+    }
+    Ok(strays)
 }
 
 /// What a file has that no other format takes, in words.

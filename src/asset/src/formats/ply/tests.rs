@@ -263,3 +263,18 @@ fn a_fresh_file_reads_back() {
     let reread = read_bytes(build(&NeutralModel::from_geometry(geometry.clone()))).expect("valid");
     assert_eq!(reread.geometry, geometry);
 }
+
+#[test]
+fn edges_that_name_no_vertex_are_told() {
+    let text = |edge: &str| {
+        format!(
+            "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n\
+             property list uchar int vertex_indices\nelement edge 1\nproperty int vertex1\nproperty int vertex2\nend_header\n\
+             0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n{edge}\n"
+        )
+    };
+    for (edge, is_told) in [("0 2", false), ("0 3", true), ("-1 2", true)] {
+        let read = read_bytes(text(edge)).expect("readable");
+        assert_eq!(read.warnings.iter().any(|w| w.0 == "bad-line-index"), is_told, "{edge}");
+    }
+}

@@ -154,8 +154,21 @@ fn recognise(bytes: &[u8]) -> Recognition {
 }
 
 fn begins_a_solid(bytes: &[u8]) -> bool {
-    let word = without_mark(bytes).trim_ascii_start().get(..5);
+    let mut rest = without_mark(bytes).trim_ascii_start();
+    while begins_a_comment(rest) {
+        let end = rest
+            .iter()
+            .position(|b| matches!(b, b'\n' | b'\r'))
+            .unwrap_or(rest.len());
+        rest = rest[end..].trim_ascii_start();
+    }
+    let word = rest.get(..5);
     word.is_some_and(|word| word.eq_ignore_ascii_case(b"solid"))
+}
+
+/// Comments are in no standard; some programs write them above a solid.
+fn begins_a_comment(line: &[u8]) -> bool {
+    [&b"#"[..], b"//", b";"].iter().any(|mark| line.starts_with(mark))
 }
 
 /// How long a binary file of so many facets is.
@@ -285,14 +298,17 @@ impl<'a> FacetReader<'a> {
         }
     }
 
-    /// The next word that is not of a line that gives a colour, as some programs write them between and in facets.
+    /// The next word that is neither of a comment nor of a line that gives a colour, as some programs write them between and in
+    /// facets.
     fn word(&mut self) -> Option<TextToken> {
         loop {
             let token = self.lexer.token()?;
-            if !self.lexer.text(token).eq_ignore_ascii_case(b"color") {
+            let text = self.lexer.text(token);
+            let is_colour = text.eq_ignore_ascii_case(b"color");
+            if !is_colour && !begins_a_comment(text) {
                 return Some(token);
             }
-            self.colours += 1;
+            self.colours += usize::from(is_colour);
             self.lexer.end_line();
         }
     }

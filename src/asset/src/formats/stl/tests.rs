@@ -200,3 +200,14 @@ fn what_facets_do_not_hold_is_said_with_an_edit_and_without() {
     after.sort_unstable();
     assert_eq!(after, expected);
 }
+
+#[test]
+fn comments_and_blank_lines_may_stand_above_a_solid() {
+    let facet =
+        "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid a\n";
+    for head in ["", "\n\n  ", "# made by hand\n\n; or not\n// at all\n"] {
+        let text = format!("{head}solid a\n{facet}");
+        let read = Model::read(FileSet::single("part.stl", text), None, &Limits::default());
+        assert_eq!(read.expect(head).triangles.len(), 1, "{head:?}");
+    }
+}

@@ -14,6 +14,7 @@ mod skeletons;
 
 pub(super) use blended::distinguish_vertices;
 pub(super) use looks::run_attributes;
+pub(super) use named::segments;
 
 use super::buffers;
 use super::builder::BufferBuilder;

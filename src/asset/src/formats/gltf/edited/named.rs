@@ -1,8 +1,9 @@
 //! Extensions of a primitive that name its vertices or triangles by number, after an edit.
 
 use super::super::builder::AccessorKind;
+use super::super::document::GltfDocument;
 use super::super::extensions::{FEATURES, OUTLINE};
-use super::super::read::PlacedPrimitive;
+use super::super::read::{GltfNotes, PlacedPrimitive};
 use super::super::schema::MeshPrimitive;
 use super::super::text::{index_of, json_array, list_of, value_of, with_member, without_extensions};
 use super::blended::AccessorNumbers;
@@ -11,26 +12,33 @@ use crate::Error;
 use crate::edited::{FollowedLines, PrimitiveRun};
 
 impl PrimitiveMaker<'_, '_> {
-    /// Writes which of the new vertices points and lines are drawn between.
+    /// Writes which of the new vertices points and lines are drawn between, and in which mode: lines that an edit has divided or
+    /// cut are pairs.
     pub(super) fn followed_elements(
         &mut self,
         run: &PrimitiveRun,
         row: &PlacedPrimitive,
         primitive: &MeshPrimitive,
-    ) -> Result<usize, Error> {
-        let stored = match primitive.indices {
-            Some(indices) => {
-                self.doc.decode_for([indices.index()])?;
-                self.doc.read_indices(indices.index())?
-            }
-            None => (0..row.vertices.len() as u32).collect(),
-        };
+    ) -> Result<(usize, u64), Error> {
+        let stored = stored_elements(self.doc, row, primitive)?;
         let followed = FollowedLines::of_runs(self.edited, std::iter::once(run));
-        let now = |old: &u32| followed.vertex((row.vertices.start as u32).saturating_add(*old));
-        let numbers: Option<Vec<u32>> = stored.iter().map(now).collect();
-        let numbers = numbers.ok_or_else(|| self.fault.unwritable("a vertex of points or lines is gone"))?;
+        let there: Option<Vec<u32>> = stored.iter().map(|old| followed.vertex(*old)).collect();
+        let is_whole = run.vertex_count as usize == row.vertices.len();
+        let (numbers, mode) = match (there, primitive.mode()) {
+            (Some(there), mode) if is_whole || mode == 0 => (there, mode),
+            (_, 0) => (stored.iter().filter_map(|old| followed.vertex(*old)).collect(), 0),
+            (_, mode) => {
+                let segments = segments_between(&stored, mode).into_iter();
+                let chains = segments.map(|[from, to]| followed.segment(from, to));
+                let pairs = chains.flat_map(|chain| chain.windows(2).flat_map(<[u32]>::to_vec).collect::<Vec<u32>>());
+                (pairs.collect(), 1)
+            }
+        };
         let own: Vec<u32> = numbers.iter().map(|v| v - run.first_vertex).collect();
-        Ok(self.fresh.add_numbers_of_vertices(&own, run.vertex_count as usize))
+        Ok((
+            self.fresh.add_numbers_of_vertices(&own, run.vertex_count as usize),
+            mode,
+        ))
     }
 
     /// A primitive or mesh without an extension, which is noted where it was there.
@@ -97,6 +105,46 @@ impl PrimitiveMaker<'_, '_> {
         }
         with_extension(text, FEATURES, &with_member(features, "featureIds", json_array(&sets)))
     }
+}
+
+/// The vertices of the model that a primitive of points or lines names, in order; those that there are not are left out.
+fn stored_elements(
+    doc: &GltfDocument<'_>,
+    row: &PlacedPrimitive,
+    primitive: &MeshPrimitive,
+) -> Result<Vec<u32>, Error> {
+    let count = row.vertices.len() as u32;
+    let stored = match primitive.indices {
+        Some(indices) => {
+            doc.decode_for([indices.index()])?;
+            doc.read_indices(indices.index())?
+        }
+        None => (0..count).collect(),
+    };
+    let first = row.vertices.start as u32;
+    Ok(stored.into_iter().filter(|v| *v < count).map(|v| first + v).collect())
+}
+
+/// The pairs of vertices that lines of a mode are drawn between.
+fn segments_between(vertices: &[u32], mode: u64) -> Vec<[u32; 2]> {
+    let strip = vertices.windows(2).map(|pair| [pair[0], pair[1]]);
+    match (mode, vertices) {
+        (1, _) => vertices.as_chunks::<2>().0.to_vec(),
+        (2, [first, .., last]) => strip.chain([[*last, *first]]).collect(),
+        _ => strip.collect(),
+    }
+}
+
+/// The segments of the lines of a document, by the vertices of its model.
+pub(in super::super) fn segments(doc: &GltfDocument<'_>, notes: &GltfNotes) -> Result<Vec<[u32; 2]>, Error> {
+    let mut found = Vec::new();
+    for row in &notes.rows {
+        let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
+        if let mode @ 1..4 = primitive.mode() {
+            found.extend(segments_between(&stored_elements(doc, row, primitive)?, mode));
+        }
+    }
+    Ok(found)
 }
 
 fn extension_of<'t>(text: &'t str, name: &str) -> Option<&'t str> {

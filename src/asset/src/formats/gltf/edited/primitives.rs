@@ -85,7 +85,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
                 return Ok(None);
             }
         }
-        let mode = Some(primitive.mode()).filter(|mode| *mode < 4);
+        let mut mode = Some(primitive.mode()).filter(|mode| *mode < 4);
         let carried = CarriedAttributes::new(self.edited, run, self.positions);
         let mixer = AttributeBlender::new(self.edited, run);
         let skin = if self.joins_skin || self.is_frame && !untouched {
@@ -140,7 +140,11 @@ impl<'a> PrimitiveMaker<'a, '_> {
                 triangles.iter_mut().for_each(|t| t.swap(1, 2));
             }
             Some(match mode {
-                Some(_) => self.followed_elements(run, row, primitive)?,
+                Some(_) => {
+                    let (at, drawn) = self.followed_elements(run, row, primitive)?;
+                    mode = Some(drawn);
+                    at
+                }
                 None => self.fresh.add_indices(&triangles, run.vertex_count as usize),
             })
         };
