@@ -43,8 +43,12 @@ mod obj;
 mod off;
 mod ply;
 mod polygons;
+mod splats;
 mod stl;
 mod text;
+
+pub use splats::Splats;
+pub(super) use splats::refuse_as_model;
 
 use crate::Error;
 use crate::codec::{FormatCodec, FormatTranslator};

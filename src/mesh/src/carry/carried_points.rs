@@ -4,6 +4,7 @@
 
 use crate::carry::motion::{CarriedFrame, SurfaceMotion};
 use crate::carry::motion::{CarrySurface, NearestPlace};
+use crate::carry::stretch::{CarriedSpace, SurfaceStretch};
 use crate::query::closest_point::{blend_corners, closest_weights_on_triangle};
 use glam::DVec3;
 use pliant_exec::Exec;
@@ -117,6 +118,27 @@ impl CarriedPoints {
         })
     }
 
+    /// As [`CarriedPoints::carried_by`], each with the gradient of the motion around it, for what has an extent. `stretch` must be
+    /// that of `motion`.
+    ///
+    /// # Panics
+    /// As there.
+    pub fn spaces_by(&self, motion: &SurfaceMotion, stretch: &SurfaceStretch, pool: &Pool) -> Vec<CarriedSpace> {
+        let frames = self.carried_by(motion, pool);
+        let space = |(i, frame): (usize, CarriedFrame)| {
+            let followed = self.first[i]..self.first[i + 1];
+            let samples = || {
+                let samples = self.samples[followed.clone()].iter();
+                samples.copied().zip(self.weights[followed.clone()].iter().copied())
+            };
+            stretch.around(motion, frame, self.points[i], samples)
+        };
+        pool.install(|| {
+            let frames = frames.into_par_iter().with_min_len(BATCH).enumerate();
+            frames.map(space).collect()
+        })
+    }
+
     /// Bytes held on the heap.
     pub fn byte_size(&self) -> usize {
         (self.points.capacity() + self.levers.capacity()) * size_of::<DVec3>()
@@ -187,6 +209,39 @@ impl SurfaceCarrier {
                 })
                 .collect()
         })
+    }
+
+    /// As [`SurfaceCarrier::carry_points`], each with the gradient of the motion around it, for what has an extent.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn carry_spaces(
+        &self,
+        stretch: &SurfaceStretch,
+        points: &[DVec3],
+        exec: &Exec<'_>,
+    ) -> Result<Vec<CarriedSpace>, Cancelled> {
+        exec.pool.install(|| {
+            let points = points.par_iter().with_min_len(BATCH);
+            points
+                .map_init(Neighbourhood::default, |around, &point| {
+                    exec.check()?;
+                    let frame = self.carry_around(around, point);
+                    let samples = || around.samples.iter().copied();
+                    Ok(stretch.around(&self.motion, frame, point, samples))
+                })
+                .collect()
+        })
+    }
+
+    /// Length of the diagonal of the box around the rest surface.
+    pub fn diagonal(&self) -> f64 {
+        self.surface.diagonal
+    }
+
+    /// How the surface has stretched.
+    pub fn stretch(&self, pool: &Pool) -> SurfaceStretch {
+        SurfaceStretch::of(&self.surface, &self.motion, pool)
     }
 
     fn carry_around(&self, around: &mut Neighbourhood, point: DVec3) -> CarriedFrame {

@@ -16,7 +16,9 @@
 
 mod carried_points;
 mod motion;
+mod stretch;
 
 pub use carried_points::{CarriedPoints, SurfaceCarrier};
 pub use motion::CarrySurface;
 pub use motion::{CarriedFrame, SurfaceMotion};
+pub use stretch::{CarriedSpace, SurfaceStretch};
