@@ -47,7 +47,7 @@ mod splats;
 mod stl;
 mod text;
 
-pub use splats::Splats;
+pub use splats::{SplatFrame, SplatFrames, Splats};
 pub(super) use splats::refuse_as_model;
 
 use crate::Error;
