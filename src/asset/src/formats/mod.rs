@@ -47,8 +47,8 @@ mod splats;
 mod stl;
 mod text;
 
-pub use splats::{SplatFrame, SplatFrames, Splats};
 pub(super) use splats::refuse_as_model;
+pub use splats::{SplatFrame, SplatFrames, Splats};
 
 use crate::Error;
 use crate::codec::{FormatCodec, FormatTranslator};

@@ -49,7 +49,9 @@ impl SampleRows {
             let numbers = numbers.chain([log_scale]).chain(moved.to_cols_array());
             // Of the symmetric sum one half.
             let numbers = numbers.chain([0, 3, 6, 4, 7, 8].map(|k| rest[k]));
-            row.iter_mut().zip(numbers).for_each(|(out, number)| *out = number as f32);
+            row.iter_mut()
+                .zip(numbers)
+                .for_each(|(out, number)| *out = number as f32);
             row
         };
         let samples = stretch.samples();

@@ -54,7 +54,10 @@ impl SplatFrames {
             let columns = [0, 1, 2].map(|k| turn * DVec3::AXES[k] * (scale[k] / size));
             let numbers = columns.iter().flat_map(|column| column.to_array());
             let group = &mut axes[i / LANES];
-            group.iter_mut().zip(numbers).for_each(|(out, v)| out[i % LANES] = v as f32);
+            group
+                .iter_mut()
+                .zip(numbers)
+                .for_each(|(out, v)| out[i % LANES] = v as f32);
         }
         Ok(Self { points, axes, sizes })
     }
@@ -160,7 +163,12 @@ fn turns_of(axes: &[Lane; 9]) -> [Lane; 4] {
         let (xx, xy, xz, yx, yy, yz) = (m(0), m(1), m(2), m(3), m(4), m(5));
         let (zx, zy, zz) = (xy * yz - xz * yy, xz * yx - xx * yz, xx * yy - xy * yx);
         // Four times the square of each part; the largest is divided by.
-        let squares = [1.0 + xx - yy - zz, 1.0 - xx + yy - zz, 1.0 - xx - yy + zz, 1.0 + xx + yy + zz];
+        let squares = [
+            1.0 + xx - yy - zz,
+            1.0 - xx + yy - zz,
+            1.0 - xx - yy + zz,
+            1.0 + xx + yy + zz,
+        ];
         let rows = [
             [squares[0], xy + yx, zx + xz, yz - zy],
             [xy + yx, squares[1], yz + zy, zx - xz],
