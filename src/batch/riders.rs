@@ -1,7 +1,7 @@
 //! What a job carries along with its model outside of the mesh: nodes of its file, points and other models.
 
-use crate::asset::{Format, Limits, Model, WrittenFiles};
-use crate::engine::{CarriedNode, Deformer, Passenger, PassengerKind};
+use crate::asset::{Limits, WrittenFiles};
+use crate::engine::{CarriedNode, Deformer, Passenger, PassengerKind, RidingFile};
 use crate::exec::Exec;
 use crate::mesh::carry::CarriedFrame;
 use crate::progress::Silent;
@@ -30,10 +30,8 @@ enum RiderKind {
     /// Nodes of the model's file, which the deformer carries; by the number of their passenger.
     Nodes(usize),
     Points(Vec<CarriedFrame>),
-    Model {
-        model: Box<Model>,
-        positions: Vec<DVec3>,
-        output: Format,
+    File {
+        file: RidingFile,
         path: String,
     },
 }
@@ -60,19 +58,15 @@ impl Riders {
                 PassengerKind::Model(file) => {
                     let taken = riders
                         .iter()
-                        .any(|r| matches!(&r.kind, RiderKind::Model { path, .. } if *path == file.path));
+                        .any(|r| matches!(&r.kind, RiderKind::File { path, .. } if *path == file.path));
                     if taken {
                         let problem = format!("is \"{}\", where an earlier passenger is written", file.path);
                         return Err(Error::invalid(format!("passengers[{k}].file.output"), problem));
                     }
-                    let model = Model::read_passenger(file.files.clone(), file.format, limits, &Silent)
+                    let path = file.path.clone();
+                    let file = RidingFile::read(file.clone(), limits, &Silent)
                         .map_err(|e| Error::invalid(format!("passengers[{k}].file"), e.to_string()))?;
-                    RiderKind::Model {
-                        positions: model.positions.clone(),
-                        output: file.output.unwrap_or(model.format),
-                        model: Box::new(model),
-                        path: file.path.clone(),
-                    }
+                    RiderKind::File { file, path }
                 }
             };
             riders.push(Rider {
@@ -107,10 +101,7 @@ impl Riders {
                         };
                     }
                 }
-                RiderKind::Model { positions, .. } => {
-                    let moved = carrier.carry_points(positions, exec)?;
-                    *positions = moved.iter().map(|f| f.position).collect();
-                }
+                RiderKind::File { file, .. } => file.move_along(&carrier, exec)?,
             }
         }
         Ok(())
@@ -140,13 +131,8 @@ impl Riders {
                     report_frames(&mut message, &frames);
                 }
                 RiderKind::Points(frames) => report_frames(&mut message, &frames),
-                RiderKind::Model {
-                    model,
-                    positions,
-                    output,
-                    path,
-                } => {
-                    let written = model.write(&positions, output)?;
+                RiderKind::File { file, path } => {
+                    let written = file.write()?;
                     message.output = path.clone();
                     files.push(CarriedFile { path, written });
                 }

@@ -3,7 +3,7 @@
 use super::codec::{EditedOutput, FormatCodec, PatchedOutput, Translation};
 use super::edited::{self, BaseModel, CapLooks, CarriedAttributes, EditedModel, PrimitiveRun, RunFaces, VertexBlends};
 use super::files::ReadWatch;
-use super::formats::{codec_of, translator_of, writer_of};
+use super::formats::{codec_of, refuse_as_model, translator_of, writer_of};
 use super::model::is_same;
 use super::neutral::{NeutralModel, RunAttributes, RunPart};
 use super::{
@@ -49,6 +49,7 @@ impl Model {
         limits: &Limits,
         progress: &dyn Progress,
     ) -> Result<Self, Error> {
+        refuse_as_model(&files, format)?;
         let model = Self::read_passenger(files, format, limits, progress)?;
         model.geometry.require_triangles(model.format)?;
         Ok(model)

@@ -238,8 +238,8 @@ export class Session {
     };
   }
 
-  /** Carries a model file that stands in the same rest pose, such as a collision hull, and answers it in its own format. */
-  async carryModel(model: Uint8Array, format: Format | "" = "", call: CallOptions = {}): Promise<Uint8Array> {
+  /** Carries a model file, or Gaussian splats, that stand in the same rest pose, and answers it in its own format. */
+  async carryModel(model: Uint8Array, format: Format | "splat" | "spz" | "" = "", call: CallOptions = {}): Promise<Uint8Array> {
     const json = jsonOf(CarryRequestSchema, { model, format });
     const answer = await this.transport.message(CarryResponseSchema, "POST", this.path("/carry"), { ...call, json });
     return answer.model;

@@ -44,8 +44,12 @@ mod obj;
 mod off;
 mod ply;
 mod polygons;
+mod splats;
 mod stl;
 mod text;
+
+pub(super) use splats::refuse_as_model;
+pub use splats::{SplatFrame, SplatFrames, Splats};
 
 use crate::Error;
 use crate::codec::{FormatCodec, FormatTranslator};

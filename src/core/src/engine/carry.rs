@@ -3,8 +3,9 @@
 use super::Deformer;
 use super::error::Error;
 use super::riding::{CarriedNode, RidingNodes};
+use super::riding_file::RidingFile;
 use super::settings::{CarriedModel, HeldBeside};
-use crate::asset::{Model, WrittenFiles};
+use crate::asset::WrittenFiles;
 use crate::exec::Exec;
 use crate::mesh::carry::{CarriedFrame, SurfaceCarrier};
 use glam::DVec3;
@@ -60,8 +61,8 @@ impl Deformer {
         Ok(Arc::new(at_rest.carried_along(&carrier, exec)?))
     }
 
-    /// Carries another model that stands in the rest space along with a shape of this one, and writes it in `output`, or in
-    /// its own format.
+    /// Carries another model, or Gaussian splats, that stand in the rest space along with a shape of this one, and writes them in
+    /// `output`, or in their own format.
     ///
     /// # Errors
     /// Those of [`Deformer::carrier`] and of reading and writing a model; [`Error::Cancelled`].
@@ -76,11 +77,10 @@ impl Deformer {
             watcher: exec.progress,
         };
         let limits = self.room_limits().of_reading();
-        let model = Model::read_passenger(passenger.files, passenger.format, &limits, &beside)?;
+        let mut file = RidingFile::read(passenger, &limits, &beside)?;
         exec.check()?;
-        let carried = self.carry_points(positions, &model.positions, exec)?;
-        let now: Vec<DVec3> = carried.iter().map(|frame| frame.position).collect();
+        file.move_along(&self.carrier(positions, exec)?, exec)?;
         exec.check()?;
-        Ok(model.write(&now, passenger.output.unwrap_or(model.format))?)
+        file.write()
     }
 }

@@ -47,6 +47,7 @@ mod region_context;
 mod resolved_handles;
 mod riding;
 mod riding_edits;
+mod riding_file;
 mod seams;
 mod settings;
 mod shape;
@@ -79,6 +80,7 @@ pub use handle::{
 };
 pub use quality::FrameQuality;
 pub use riding::CarriedNode;
+pub use riding_file::RidingFile;
 pub use settings::{
     COMMIT_REFINE, CarriedModel, DeformerLimits, ESTIMATED_MEMORY, KeptApart, OpenOptions, Passenger, PassengerKind,
     Recipe, SolveMode, SolveSettings,

@@ -259,11 +259,11 @@ pub enum PassengerKind {
         /// The rest rotation of the axes, one for each.
         rotations: Vec<DQuat>,
     },
-    /// Another model that stands in the rest space.
+    /// Another model, or Gaussian splats, that stand in the rest space.
     Model(CarriedModel),
 }
 
-/// Another model that rides along.
+/// Another model, or Gaussian splats, that ride along.
 #[derive(Debug, Clone)]
 pub struct CarriedModel {
     /// Its files.

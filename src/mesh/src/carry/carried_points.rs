@@ -4,6 +4,7 @@
 
 use crate::carry::motion::{CarriedFrame, SurfaceMotion};
 use crate::carry::motion::{CarrySurface, NearestPlace};
+use crate::carry::stretch::{CarriedSpace, SurfaceStretch};
 use crate::query::closest_point::{blend_corners, closest_weights_on_triangle};
 use glam::DVec3;
 use pliant_exec::Exec;
@@ -101,19 +102,51 @@ impl CarriedPoints {
     /// # Panics
     /// When `motion` is of a surface with fewer samples.
     pub fn carried_by(&self, motion: &SurfaceMotion, pool: &Pool) -> Vec<CarriedFrame> {
-        let carry_point = |i: usize| {
-            let followed = self.first[i]..self.first[i + 1];
-            let samples = self.samples[followed.clone()]
-                .iter()
-                .zip(&self.weights[followed.clone()]);
-            match followed.is_empty() {
-                true => CarriedFrame::resting(self.points[i]),
-                false => motion.carry_along(self.points[i], self.levers[i], samples.map(|(&s, &w)| (s, w))),
-            }
-        };
         pool.install(|| {
             let points = (0..self.points.len()).into_par_iter().with_min_len(BATCH);
-            points.map(carry_point).collect()
+            points.map(|i| self.frame_by(i, motion)).collect()
+        })
+    }
+
+    fn frame_by(&self, i: usize, motion: &SurfaceMotion) -> CarriedFrame {
+        match self.first[i] == self.first[i + 1] {
+            true => CarriedFrame::resting(self.points[i]),
+            false => motion.carry_along(self.points[i], self.levers[i], self.followed(i)),
+        }
+    }
+
+    /// The samples that a point follows, with weights.
+    pub(super) fn followed(&self, i: usize) -> impl Iterator<Item = (u32, f64)> {
+        let own = self.first[i]..self.first[i + 1];
+        let samples = self.samples[own.clone()].iter().copied();
+        samples.zip(self.weights[own].iter().copied())
+    }
+
+    /// Where a point is at rest.
+    pub fn point(&self, i: usize) -> DVec3 {
+        self.points[i]
+    }
+
+    /// From the mean place of what a point follows to the point.
+    pub(super) fn lever(&self, i: usize) -> DVec3 {
+        self.levers[i]
+    }
+
+    /// One point, as [`CarriedPoints::spaces_by`] carries it.
+    pub(super) fn space_by(&self, i: usize, motion: &SurfaceMotion, stretch: &SurfaceStretch) -> CarriedSpace {
+        let frame = self.frame_by(i, motion);
+        stretch.around(motion, frame, self.points[i], || self.followed(i))
+    }
+
+    /// As [`CarriedPoints::carried_by`], each with the gradient of the motion around it, for what has an extent. `stretch` must be
+    /// that of `motion`.
+    ///
+    /// # Panics
+    /// As there.
+    pub fn spaces_by(&self, motion: &SurfaceMotion, stretch: &SurfaceStretch, pool: &Pool) -> Vec<CarriedSpace> {
+        pool.install(|| {
+            let points = (0..self.points.len()).into_par_iter().with_min_len(BATCH);
+            points.map(|i| self.space_by(i, motion, stretch)).collect()
         })
     }
 
@@ -187,6 +220,39 @@ impl SurfaceCarrier {
                 })
                 .collect()
         })
+    }
+
+    /// As [`SurfaceCarrier::carry_points`], each with the gradient of the motion around it, for what has an extent.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn carry_spaces(
+        &self,
+        stretch: &SurfaceStretch,
+        points: &[DVec3],
+        exec: &Exec<'_>,
+    ) -> Result<Vec<CarriedSpace>, Cancelled> {
+        exec.pool.install(|| {
+            let points = points.par_iter().with_min_len(BATCH);
+            points
+                .map_init(Neighbourhood::default, |around, &point| {
+                    exec.check()?;
+                    let frame = self.carry_around(around, point);
+                    let samples = || around.samples.iter().copied();
+                    Ok(stretch.around(&self.motion, frame, point, samples))
+                })
+                .collect()
+        })
+    }
+
+    /// Length of the diagonal of the box around the rest surface.
+    pub fn diagonal(&self) -> f64 {
+        self.surface.diagonal
+    }
+
+    /// How the surface has stretched.
+    pub fn stretch(&self, pool: &Pool) -> SurfaceStretch {
+        SurfaceStretch::of(&self.surface, &self.motion, pool)
     }
 
     fn carry_around(&self, around: &mut Neighbourhood, point: DVec3) -> CarriedFrame {

@@ -65,29 +65,31 @@ impl SurfaceMotion {
         pool.install(|| {
             let whole = whole_rotation(surface, current);
             let mut samples = vertex_motions(surface, current, whole);
-            let at_leaves: Vec<SampleMotion> = surface.nodes[..surface.leaves]
-                .par_iter()
-                .map(|leaf| {
-                    let mut sum = SampleMotion::NONE;
-                    for place in leaf.first as usize..(leaf.first + leaf.count) as usize {
-                        let third = surface.weights[place] / 3.0;
-                        let triangle = surface.triangles[surface.order[place] as usize];
-                        triangle.iter().for_each(|&v| sum.add(third, &samples[v as usize]));
-                    }
-                    sum.divided_by(leaf.weight)
-                })
-                .collect();
-            samples.extend(at_leaves);
-            for node in &surface.nodes[surface.leaves..] {
-                let mut sum = SampleMotion::NONE;
-                for child in node.first..node.first + node.count {
-                    let at = surface.rest.len() + child as usize;
-                    sum.add(surface.nodes[child as usize].weight, &samples[at]);
-                }
-                samples.push(sum.divided_by(node.weight));
-            }
+            surface.add_clusters(&mut samples);
             Self { samples, whole }
         })
+    }
+
+    /// How far a vertex of the surface has gone.
+    pub(super) fn displacement(&self, vertex: usize) -> DVec3 {
+        self.samples[vertex].displacement
+    }
+
+    /// A sample's displacement, mean rotation and logarithm of its growth.
+    pub(super) fn sample(&self, sample: usize) -> (DVec3, DMat3, f64) {
+        let SampleMotion {
+            displacement,
+            rotation,
+            log_scale,
+        } = self.samples[sample];
+        (displacement, rotation, log_scale)
+    }
+
+    /// How much the rotations of `samples` agree, 0 to 1: the size of their mean.
+    pub(super) fn agreement(&self, samples: impl Iterator<Item = (u32, f64)>) -> f64 {
+        let mut mean = DMat3::ZERO;
+        samples.for_each(|(sample, weight)| mean += self.samples[sample as usize].rotation * weight);
+        rotation_size(mean)
     }
 
     /// Carries a point that follows `samples` with weights that add to 1; `lever`: from their mean rest place to it.
@@ -114,9 +116,8 @@ impl SurfaceMotion {
 
     /// The rotation that a mean of rotations is nearest to; where they contradict each other the whole surface has a say.
     fn agreed_rotation(&self, mean: DMat3) -> DQuat {
-        let length = mean.x_axis.length_squared() + mean.y_axis.length_squared() + mean.z_axis.length_squared();
         let [clear, vague] = CONTRADICTION;
-        let agreement = (length / 3.0).sqrt();
+        let agreement = rotation_size(mean);
         let doubt = ((clear - agreement) / (clear - vague)).clamp(0.0, 1.0);
         if doubt > 0.0 {
             return fit_rotation(mean + DMat3::from_quat(self.whole) * (0.5 * doubt));
@@ -125,7 +126,19 @@ impl SurfaceMotion {
     }
 }
 
-impl SampleMotion {
+/// What samples of a surface have, and clusters the mean of.
+pub(super) trait Averaged: Copy + Send + Sync {
+    /// The sum of none.
+    const NONE: Self;
+
+    /// Adds another with a weight.
+    fn add(&mut self, weight: f64, other: &Self);
+
+    /// The mean, of a sum and the weights that it has.
+    fn divided_by(self, weight: f64) -> Self;
+}
+
+impl Averaged for SampleMotion {
     const NONE: Self = Self {
         displacement: DVec3::ZERO,
         rotation: DMat3::ZERO,
@@ -147,6 +160,12 @@ impl SampleMotion {
             log_scale: self.log_scale * part,
         }
     }
+}
+
+/// The size of a mean of rotations: 1 of equal ones.
+fn rotation_size(mean: DMat3) -> f64 {
+    let length = mean.x_axis.length_squared() + mean.y_axis.length_squared() + mean.z_axis.length_squared();
+    (length / 3.0).sqrt()
 }
 
 /// The rotation that fits all of the surface best; the identity where nothing has moved.
@@ -232,10 +251,37 @@ fn turning_part(gradient: DMat3, guess: DQuat) -> DQuat {
     }
 }
 
+impl CarrySurface {
+    /// Adds to what the vertices have what the clusters have: the means over their triangles.
+    pub(super) fn add_clusters<T: Averaged>(&self, samples: &mut Vec<T>) {
+        let at_leaves: Vec<T> = self.nodes[..self.leaves]
+            .par_iter()
+            .map(|leaf| {
+                let mut sum = T::NONE;
+                for place in leaf.first as usize..(leaf.first + leaf.count) as usize {
+                    let third = self.weights[place] / 3.0;
+                    let triangle = self.triangles[self.order[place] as usize];
+                    triangle.iter().for_each(|&v| sum.add(third, &samples[v as usize]));
+                }
+                sum.divided_by(leaf.weight)
+            })
+            .collect();
+        samples.extend(at_leaves);
+        for node in &self.nodes[self.leaves..] {
+            let mut sum = T::NONE;
+            for child in node.first..node.first + node.count {
+                let at = self.rest.len() + child as usize;
+                sum.add(self.nodes[child as usize].weight, &samples[at]);
+            }
+            samples.push(sum.divided_by(node.weight));
+        }
+    }
+}
+
 /// The gradient of the similarity-like map that takes one triangle to another, times the first one's area: in its plane the
 /// affine map, across it the normal, grown by the root of the ratio of areas. Nothing is divided by the height of a thin
 /// triangle. `None` for a triangle without rest area.
-fn weighted_gradient(rest: [DVec3; 3], now: [DVec3; 3]) -> Option<DMat3> {
+pub(super) fn weighted_gradient(rest: [DVec3; 3], now: [DVec3; 3]) -> Option<DMat3> {
     let (e1, e2) = (rest[1] - rest[0], rest[2] - rest[0]);
     let (f1, f2) = (now[1] - now[0], now[2] - now[0]);
     let (n, m) = (e1.cross(e2), f1.cross(f2));

@@ -19,6 +19,7 @@ use crate::registry::OpenSession;
 use crate::stream::frame_window::FrameContext;
 use crate::task::session_task::{SessionTask, no_handles};
 use glam::DVec3;
+use pliant_asset::WrittenFiles;
 use pliant_core::engine;
 use pliant_core::engine::{Animation, ClipSource, Deformer, ModelShape, RigOrder, TopologyState, left_out_of_rig};
 use pliant_exec::Exec;
@@ -28,6 +29,7 @@ use pliant_motion::bvh::read_bvh;
 use pliant_wire::record::LoggedCommit;
 use pliant_wire::{
     CarryOrder, CrossingsOrder, DeformOptions, MakeRigOrder, PoseCommit, SessionEdit, made_rig_message, origin_of, pb,
+    written_warnings,
 };
 use std::sync::Arc;
 use std::time::Instant;
@@ -389,15 +391,16 @@ fn carry_order_along(
             frame.rotation *= at_rest;
         }
     }
-    let model = match order.model {
-        Some(model) => deformer.carry_model(positions, model, exec)?.main,
-        None => Vec::new(),
+    let written = match order.model {
+        Some(model) => deformer.carry_model(positions, model, exec)?,
+        None => WrittenFiles::default(),
     };
     Ok(pb::CarryResponse {
         points: frames.iter().flat_map(|f| f.position.to_array()).collect(),
         rotations: frames.iter().flat_map(|f| f.rotation.to_array()).collect(),
         scales: frames.iter().map(|f| f.scale).collect(),
-        model: model.into(),
+        warnings: written_warnings(&written),
+        model: written.main.into(),
         ..pb::CarryResponse::default()
     })
 }

@@ -191,8 +191,8 @@ class Session(Declared):
         return carried(await self._calls.one("Carry", request))
 
     async def carry_model(self, model: bytes, format: str = "") -> bytes:
-        """Carries a model file that stands in the same rest pose, such as a level of detail or a collision hull, and
-        answers it in its own format. It has to be one file.
+        """Carries a model file that stands in the same rest pose, such as a level of detail, a collision hull or Gaussian
+        splats (`format` is also "splat" or "spz"), and answers it in its own format. It has to be one file.
         """
         request = model_request(self.id, model, format)
         return bytes((await self._calls.one("Carry", request)).model)

@@ -9,7 +9,7 @@ use crate::{Error, Format};
 use std::ops::Range;
 
 /// Reads one number after the other.
-pub(super) enum PlyBody<'a> {
+pub(in crate::formats) enum PlyBody<'a> {
     Text(TextLexer<'a>),
     Binary { bytes: &'a [u8], at: usize, big: bool },
 }
@@ -158,7 +158,7 @@ fn decode_number(bytes: &[u8], scalar: PlyScalar, big: bool) -> f64 {
 }
 
 /// Appends a number that the type holds, up to rounding of real numbers.
-pub(super) fn push(out: &mut Vec<u8>, value: f64, scalar: PlyScalar, encoding: PlyEncoding) {
+pub(in crate::formats) fn push(out: &mut Vec<u8>, value: f64, scalar: PlyScalar, encoding: PlyEncoding) {
     if encoding == PlyEncoding::Ascii {
         let precision = if scalar == PlyScalar::F32 {
             NumberPrecision::Single
@@ -185,7 +185,7 @@ pub(super) fn push(out: &mut Vec<u8>, value: f64, scalar: PlyScalar, encoding: P
 
 /// How the body stores numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum PlyEncoding {
+pub(in crate::formats) enum PlyEncoding {
     Ascii,
     Little,
     Big,
@@ -193,7 +193,7 @@ pub(super) enum PlyEncoding {
 
 /// The type of one number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum PlyScalar {
+pub(in crate::formats) enum PlyScalar {
     I8,
     U8,
     I16,
@@ -294,7 +294,7 @@ impl PlyScalar {
 
 /// One number, or a counted list of numbers, of each row of an element.
 #[derive(Debug, Clone)]
-pub(super) struct PlyProperty {
+pub(in crate::formats) struct PlyProperty {
     pub name: String,
     /// The type of the list's count; absent for a single number.
     pub count: Option<PlyScalar>,
@@ -305,7 +305,7 @@ pub(super) struct PlyProperty {
 
 /// A table of rows.
 #[derive(Debug, Clone)]
-pub(super) struct PlyElement {
+pub(in crate::formats) struct PlyElement {
     pub name: String,
     pub rows: u64,
     pub properties: Vec<PlyProperty>,
@@ -333,7 +333,7 @@ impl PlyElement {
 
 /// A header that was read.
 #[derive(Debug, Clone)]
-pub(super) struct PlyHeader {
+pub(in crate::formats) struct PlyHeader {
     pub encoding: PlyEncoding,
     pub elements: Vec<PlyElement>,
     /// Offset and line of the first byte after it.

@@ -3,7 +3,7 @@
 //! Needed of a file are the numbers x, y and z of element `vertex`, and `vertex_indices` (or `vertex_index`) of element
 //! `face` or `tristrips`. Whatever else it holds is stepped over and survives.
 
-mod body;
+pub(super) mod body;
 mod edited;
 mod read;
 #[cfg(test)]

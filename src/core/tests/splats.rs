@@ -1,0 +1,312 @@
+//! Gaussian splats carried along with a posed model.
+
+use glam::{DMat3, DQuat, DVec3};
+use pliant_core::asset::{FileSet, Format, Limits, SplatFrame, SplatFrames, Splats, shapes};
+use pliant_core::engine::{
+    CarriedModel, Deformer, DeformerLimits, Handle, HandlePose, OpenOptions, Region, SolveSettings,
+};
+use pliant_core::exec::Exec;
+use pliant_core::mesh::carry::{
+    CarriedFrame, CarriedPoints, CarriedSpace, CarrySurface, SampleRows, SurfaceCarrier, SurfaceMotion,
+};
+use pliant_core::mesh::rotation::exp_rotation;
+use pliant_core::pool::Pool;
+use pliant_core::progress::Silent;
+use std::fmt::Write as _;
+
+/// A bar from y = 0 to 4, with splats in it, on it and beside it: long along the bar, red on one side.
+fn bar() -> (FileSet, FileSet, Vec<DVec3>) {
+    let (points, faces) = shapes::box_with_cells(DVec3::new(0.5, 4.0, 0.5), [4, 32, 4]);
+    let points: Vec<DVec3> = points.iter().map(|p| *p - DVec3::new(0.25, 0.0, 0.25)).collect();
+    let mut text = String::new();
+    points
+        .iter()
+        .for_each(|p| writeln!(text, "v {} {} {}", p.x, p.y, p.z).expect("memory"));
+    for face in faces {
+        let [a, b, c] = face.map(|v| v + 1);
+        writeln!(text, "f {a} {b} {c}").expect("memory");
+    }
+    let mut centers = Vec::new();
+    for row in 0..40 {
+        for (x, z) in [(0.0, 0.0), (0.25, 0.1), (0.1, -0.2), (-0.3, 0.2)] {
+            centers.push(DVec3::new(x, 0.05 + 0.1 * f64::from(row), z));
+        }
+    }
+    (
+        FileSet::single("bar.obj", text),
+        FileSet::single("splats.ply", splats_at(&centers, 0.03)),
+        centers,
+    )
+}
+
+/// Splats of that length along y, a third as wide, with harmonics of degree 3, as text.
+fn splats_at(centers: &[DVec3], length: f64) -> String {
+    let mut text = format!("ply\nformat ascii 1.0\nelement vertex {}\n", centers.len());
+    let names = [
+        "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
+    ];
+    let names = names.map(str::to_owned).into_iter();
+    let names = names
+        .chain((0..4).map(|k| format!("rot_{k}")))
+        .chain((0..45).map(|k| format!("f_rest_{k}")));
+    names.for_each(|name| writeln!(text, "property float {name}").expect("memory"));
+    text += "end_header\n";
+    for (i, p) in centers.iter().enumerate() {
+        let (long, thin) = (length.ln(), (length / 3.0).ln());
+        write!(
+            text,
+            "{} {} {} 0.5 -0.25 0.125 2 {thin} {long} {thin} 1 0 0 0",
+            p.x, p.y, p.z
+        )
+        .expect("memory");
+        for k in 0..45 {
+            write!(text, " {}", ((i * 45 + k) as f64).sin() * 0.3).expect("memory");
+        }
+        text.push('\n');
+    }
+    text
+}
+
+fn posed(pose: HandlePose, exec: &Exec<'_>) -> (Deformer, Vec<DVec3>) {
+    let mut deformer =
+        Deformer::open(bar().0, &OpenOptions::default(), &DeformerLimits::default(), exec).expect("a bar");
+    let handles = [
+        Handle::new("low", Region::half_space([0.0, -1.0, 0.0], -0.5)),
+        Handle::new("high", Region::half_space([0.0, 1.0, 0.0], 3.5)),
+    ];
+    deformer.set_handles(handles, exec).expect("handles");
+    let solved = deformer
+        .commit([("high", pose)], &SolveSettings::default(), exec)
+        .expect("solved");
+    let positions = solved.positions.to_vec();
+    (deformer, positions)
+}
+
+fn carried(files: FileSet, output: Option<Format>) -> CarriedModel {
+    CarriedModel {
+        files,
+        format: None,
+        output,
+        path: String::new(),
+    }
+}
+
+/// The numbers of the splats of a text, one row each.
+fn rows(text: &[u8]) -> Vec<Vec<f64>> {
+    let text = String::from_utf8_lossy(text).into_owned();
+    let body = text.split_once("end_header\n").expect("a header").1.lines();
+    body.map(|line| line.split(' ').map(|word| word.parse().expect("a number")).collect())
+        .collect()
+}
+
+#[test]
+fn splats_of_a_rigid_move_are_where_the_formula_has_them() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let (files, splats, _) = bar();
+    let mut deformer =
+        Deformer::open(files, &OpenOptions::default(), &DeformerLimits::default(), &exec).expect("a bar");
+    deformer
+        .set_handles([Handle::new("all", Region::half_space([0.0, 1.0, 0.0], -1.0))], &exec)
+        .expect("a handle");
+    let (turn, offset) = (exp_rotation(DVec3::new(0.9, -1.3, 0.4)), DVec3::new(0.4, 2.0, -1.0));
+    let still = deformer.rest().to_vec();
+    let moved: Vec<DVec3> = still.iter().map(|p| turn * *p + offset).collect();
+    let unmoved = deformer
+        .carry_model(&still, carried(splats.clone(), None), &exec)
+        .expect("carried");
+    assert_eq!(unmoved.main, splats.main, "what has not moved is the file as it came");
+    let written = deformer
+        .carry_model(&moved, carried(splats.clone(), None), &exec)
+        .expect("carried");
+
+    let mut wanted = Splats::read(splats, Format::PLY, &Limits::default(), &Silent).expect("splats");
+    let spaces = wanted.centers().iter().map(|center| CarriedSpace {
+        frame: CarriedFrame {
+            position: turn * *center + offset,
+            rotation: turn,
+            scale: 1.0,
+        },
+        gradient: DMat3::from_quat(turn),
+    });
+    let spaces: Vec<CarriedSpace> = spaces.collect();
+    wanted.carry(0, &spaces, &pool);
+    let wanted = wanted.write(Format::PLY).expect("written");
+    for (row, wanted) in rows(&written.main).iter().zip(rows(&wanted.main)) {
+        assert!(
+            row.iter().zip(&wanted).all(|(a, b)| (a - b).abs() < 1e-5),
+            "{row:?} {wanted:?}"
+        );
+        let own = DQuat::from_xyzw(row[11], row[12], row[13], row[10]).normalize();
+        assert!(own.dot(turn).abs() > 1.0 - 1e-10);
+    }
+}
+
+#[test]
+fn splats_bend_with_a_bar_on_any_number_of_threads_and_too_large_ones_are_told() {
+    let results = [1, 4].map(|threads| {
+        let pool = Pool::new(threads).expect("threads");
+        let exec = Exec::new(&pool, &Silent);
+        let pose = HandlePose::translation([1.1, -0.7, 0.0]).rotated([0.0, 0.0, -1.2]);
+        let (deformer, positions) = posed(pose, &exec);
+        let (_, splats, centers) = bar();
+        let written = deformer
+            .carry_model(&positions, carried(splats, None), &exec)
+            .expect("carried");
+        assert!(written.warnings.is_empty(), "{:?}", written.warnings);
+        let rows = rows(&written.main);
+        for column in 0..4 {
+            // Along a row of splats: a long one points from the one below it to the one above it.
+            for k in 4..36 {
+                let at = |k: usize| DVec3::from_slice(&rows[4 * k + column]);
+                let along = (at(k + 1) - at(k - 1)).normalize();
+                let row = &rows[4 * k + column];
+                let turn = DQuat::from_xyzw(row[11], row[12], row[13], row[10]);
+                assert!((turn * DVec3::Y).dot(along) > 0.985, "splat {k} of column {column}");
+                // As long as the bar around it has become.
+                let growth = (at(k + 1) - at(k - 1)).length() / centers[4 * (k + 1)].distance(centers[4 * (k - 1)]);
+                let own = row[8].exp() / 0.03;
+                assert!(
+                    (own / growth - 1.0).abs() < 0.12,
+                    "splat {k} of column {column}: {own} {growth}"
+                );
+            }
+        }
+        let large = FileSet::single(
+            "large.ply",
+            splats_at(&[DVec3::new(0.0, 2.0, 0.0), DVec3::new(0.0, 0.2, 0.0)], 0.7),
+        );
+        let large = deformer
+            .carry_model(&positions, carried(large, None), &exec)
+            .expect("carried");
+        assert_eq!(large.warnings.len(), 1);
+        assert!(
+            large.warnings[0].message.starts_with("1 splat is larger than the bend"),
+            "{large:?}"
+        );
+        written.main
+    });
+    assert!(results[0] == results[1]);
+}
+
+#[test]
+fn the_gradient_inside_and_on_a_stretched_body_is_that_of_the_stretch() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let root = std::f64::consts::SQRT_2;
+    for (name, (rest, faces)) in [
+        ("box", shapes::box_with_cells(DVec3::new(0.5, 4.0, 0.5), [4, 32, 4])),
+        ("ball", shapes::icosphere(1.0, 3)),
+    ] {
+        let middle = rest.iter().sum::<DVec3>() / rest.len() as f64;
+        let rest: Vec<DVec3> = rest.iter().map(|p| *p - middle).collect();
+        let now: Vec<DVec3> = rest.iter().map(|p| DVec3::new(p.x, root * p.y, p.z)).collect();
+        let carrier = SurfaceCarrier::new(&faces, &rest, &now, &pool);
+        let stretch = carrier.stretch(&pool);
+        let middle = |face: &[u32; 3]| face.iter().map(|&v| rest[v as usize]).sum::<DVec3>() / 3.0;
+        let on: Vec<DVec3> = faces.iter().map(middle).collect();
+        let inside: Vec<DVec3> = on.iter().map(|p| *p * 0.05).collect();
+        let surface = CarrySurface::build(&rest, &faces, &pool);
+        let motion = SurfaceMotion::between(&surface, &now, &pool);
+        let bound = CarriedPoints::bind(&surface, &on, &exec).expect("bound");
+        let there = carrier.carry_spaces(&stretch, &on, &exec).expect("carried");
+        assert_eq!(
+            bound.spaces_by(&motion, &stretch, &pool),
+            there,
+            "{name}: bound once or not"
+        );
+        for (face, space) in faces.iter().zip(&there) {
+            let [a, b, c] = face.map(|v| v as usize);
+            let edge = rest[b] - rest[a];
+            let wanted = now[b] - now[a];
+            let apart = (space.gradient * edge).distance(wanted);
+            assert!(apart < 0.05 * wanted.length(), "{name}: {apart} of {wanted} ({c})");
+        }
+        for space in carrier.carry_spaces(&stretch, &inside, &exec).expect("carried") {
+            let apart = space.gradient - DMat3::from_diagonal(DVec3::new(1.0, root, 1.0));
+            let most = apart.to_cols_array().into_iter().map(f64::abs).fold(0.0, f64::max);
+            assert!(most < 0.05, "{name}: {:?}", space.gradient);
+        }
+    }
+}
+
+#[test]
+fn splats_are_no_model_and_no_mesh() {
+    let pool = Pool::new(1).expect("a thread");
+    let exec = Exec::new(&pool, &Silent);
+    let (files, splats, _) = bar();
+    let limits = DeformerLimits::default();
+    let opened = Deformer::open(splats.clone(), &OpenOptions::default(), &limits, &exec);
+    let refused = opened.err().expect("no surface").to_string();
+    assert!(
+        refused.contains("Gaussian splats") && refused.contains("passenger"),
+        "{refused}"
+    );
+    let deformer = Deformer::open(files.clone(), &OpenOptions::default(), &limits, &exec).expect("a bar");
+    let rest = deformer.rest().to_vec();
+    for (files, output) in [(splats, Format::OBJ), (files, Format::SPZ)] {
+        let refused = deformer.carry_model(&rest, carried(files, Some(output)), &exec);
+        assert!(refused.expect_err("refused").to_string().contains("Gaussian splats"));
+    }
+}
+
+#[test]
+fn frames_are_where_files_have_the_splats_and_the_same_for_any_threads() {
+    let results = [1, 3].map(|threads| {
+        let pool = Pool::new(threads).expect("threads");
+        let exec = Exec::new(&pool, &Silent);
+        let (rest, faces) = shapes::box_with_cells(DVec3::new(0.5, 4.0, 0.5), [4, 32, 4]);
+        let rest: Vec<DVec3> = rest.iter().map(|p| *p - DVec3::new(0.25, 0.0, 0.25)).collect();
+        // Bent and stretched; what is far beside it follows parts that contradict each other.
+        let now = |p: &DVec3| {
+            let (sine, cosine) = (0.6 * p.y).sin_cos();
+            DVec3::new((2.0 - p.x) * cosine - 2.0, (2.0 - p.x) * sine * 1.5, p.z)
+        };
+        let now: Vec<DVec3> = rest.iter().map(now).collect();
+        let (_, _, mut centers) = bar();
+        centers.extend([DVec3::new(9.0, 2.0, 3.0), DVec3::new(-4.0, 2.0, 0.0)]);
+        let splats = Splats::read(
+            FileSet::single("splats.ply", splats_at(&centers, 0.03)),
+            Format::PLY,
+            &Limits::default(),
+            &Silent,
+        );
+        let mut splats = splats.expect("splats");
+        let surface = CarrySurface::build(&rest, &faces, &pool);
+        let carrier = SurfaceCarrier::new(&faces, &rest, &now, &pool);
+        let stretch = carrier.stretch(&pool);
+        let frames = SplatFrames::bind(&splats, &surface, &exec).expect("bound");
+        let rows = SampleRows::new(SurfaceMotion::between(&surface, &now, &pool), stretch.clone(), &pool);
+        let mut out = vec![SplatFrame::default(); splats.len()];
+        frames.write(&rows, &mut out, &pool);
+        let spaces = carrier
+            .carry_spaces(&stretch, splats.centers(), &exec)
+            .expect("carried");
+        splats.carry(0, &spaces, &pool);
+        let exact = rows_of(&splats);
+        for (i, (frame, row)) in out.iter().zip(&exact).enumerate() {
+            let covariance = |turn: DQuat, scale: DVec3| {
+                let axes = DMat3::from_quat(turn) * DMat3::from_diagonal(scale);
+                axes * axes.transpose()
+            };
+            let [x, y, z, w] = frame.turn.map(f64::from);
+            let own = covariance(
+                DQuat::from_xyzw(x, y, z, w),
+                DVec3::from_array(frame.scale.map(f64::from)),
+            );
+            let scale = DVec3::new(row[7].exp(), row[8].exp(), row[9].exp());
+            let wanted = covariance(DQuat::from_xyzw(row[11], row[12], row[13], row[10]).normalize(), scale);
+            let size = |m: DMat3| m.to_cols_array().into_iter().map(f64::abs).fold(0.0, f64::max);
+            assert!(size(own - wanted) < 1e-4 * size(wanted), "splat {i}: {own} {wanted}");
+            let center = DVec3::from_array(frame.center.map(f64::from));
+            assert!(center.distance(DVec3::from_slice(row)) < 1e-5, "splat {i}");
+        }
+        out
+    });
+    assert!(results[0] == results[1]);
+}
+
+/// The numbers of splats as a text has them.
+fn rows_of(splats: &Splats) -> Vec<Vec<f64>> {
+    rows(&splats.write(Format::PLY).expect("written").main)
+}
