@@ -107,8 +107,10 @@ class CreateOptions(_message.Message):
             __slots__ = ()
             FOLLOW: _ClassVar[CreateOptions.Rig.Rule]
             KEEP: _ClassVar[CreateOptions.Rig.Rule]
+            MOVE: _ClassVar[CreateOptions.Rig.Rule]
         FOLLOW: CreateOptions.Rig.Rule
         KEEP: CreateOptions.Rig.Rule
+        MOVE: CreateOptions.Rig.Rule
         def __init__(self) -> None: ...
     class BoneLengths(_message.Message):
         __slots__ = ()
@@ -310,7 +312,7 @@ class SolverFacts(_message.Message):
     def __init__(self, solver_vertices: _Optional[int] = ..., graph_vertices: _Optional[int] = ..., graph_edges: _Optional[int] = ..., components: _Optional[int] = ..., levels: _Optional[_Iterable[_Union[SolverFacts.Level, _Mapping]]] = ..., bytes: _Optional[int] = ..., ties: _Optional[int] = ..., loose_parts: _Optional[int] = ..., loose: _Optional[_Iterable[_Union[SolverFacts.LoosePart, _Mapping]]] = ..., stiff_parts: _Optional[int] = ...) -> None: ...
 
 class Session(_message.Message):
-    __slots__ = ("id", "revision", "primitives", "warnings", "build_ms", "model", "solver", "expires_at", "label", "handles", "limits", "created_at")
+    __slots__ = ("id", "revision", "primitives", "warnings", "build_ms", "model", "solver", "expires_at", "label", "handles", "limits", "created_at", "origin")
     class BuildMsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -330,6 +332,7 @@ class Session(_message.Message):
     HANDLES_FIELD_NUMBER: _ClassVar[int]
     LIMITS_FIELD_NUMBER: _ClassVar[int]
     CREATED_AT_FIELD_NUMBER: _ClassVar[int]
+    ORIGIN_FIELD_NUMBER: _ClassVar[int]
     id: str
     revision: int
     primitives: _containers.RepeatedCompositeFieldContainer[Primitive]
@@ -342,7 +345,8 @@ class Session(_message.Message):
     handles: _containers.RepeatedCompositeFieldContainer[HandleFacts]
     limits: Limits
     created_at: str
-    def __init__(self, id: _Optional[str] = ..., revision: _Optional[int] = ..., primitives: _Optional[_Iterable[_Union[Primitive, _Mapping]]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., build_ms: _Optional[_Mapping[str, float]] = ..., model: _Optional[_Union[ModelFacts, _Mapping]] = ..., solver: _Optional[_Union[SolverFacts, _Mapping]] = ..., expires_at: _Optional[str] = ..., label: _Optional[str] = ..., handles: _Optional[_Iterable[_Union[HandleFacts, _Mapping]]] = ..., limits: _Optional[_Union[Limits, _Mapping]] = ..., created_at: _Optional[str] = ...) -> None: ...
+    origin: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, id: _Optional[str] = ..., revision: _Optional[int] = ..., primitives: _Optional[_Iterable[_Union[Primitive, _Mapping]]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., build_ms: _Optional[_Mapping[str, float]] = ..., model: _Optional[_Union[ModelFacts, _Mapping]] = ..., solver: _Optional[_Union[SolverFacts, _Mapping]] = ..., expires_at: _Optional[str] = ..., label: _Optional[str] = ..., handles: _Optional[_Iterable[_Union[HandleFacts, _Mapping]]] = ..., limits: _Optional[_Union[Limits, _Mapping]] = ..., created_at: _Optional[str] = ..., origin: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class HandleFacts(_message.Message):
     __slots__ = ("id", "vertices", "interior_nodes", "centroid", "pose", "pivot", "found_turn")
@@ -722,7 +726,7 @@ class DeformRequest(_message.Message):
     def __init__(self, session_id: _Optional[str] = ..., options: _Optional[_Union[Options, _Mapping]] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., ack: _Optional[_Union[Ack, _Mapping]] = ..., ping: _Optional[_Union[Ping, _Mapping]] = ...) -> None: ...
 
 class Frame(_message.Message):
-    __slots__ = ("seq", "revision", "part", "parts", "first_vertex", "encoding", "data", "final", "residual", "max_error", "solve_ms", "queue_ms", "superseded", "attribute", "vertex_count", "indices", "box_min", "box_max", "quality", "animated", "number", "found_turns")
+    __slots__ = ("seq", "revision", "part", "parts", "first_vertex", "encoding", "data", "final", "residual", "max_error", "solve_ms", "queue_ms", "superseded", "attribute", "vertex_count", "indices", "box_min", "box_max", "quality", "animated", "number", "found_turns", "origin")
     class Encoding(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         F32: _ClassVar[Frame.Encoding]
@@ -763,6 +767,7 @@ class Frame(_message.Message):
     ANIMATED_FIELD_NUMBER: _ClassVar[int]
     NUMBER_FIELD_NUMBER: _ClassVar[int]
     FOUND_TURNS_FIELD_NUMBER: _ClassVar[int]
+    ORIGIN_FIELD_NUMBER: _ClassVar[int]
     seq: int
     revision: int
     part: int
@@ -785,7 +790,8 @@ class Frame(_message.Message):
     animated: Animated
     number: int
     found_turns: _containers.RepeatedCompositeFieldContainer[FoundTurn]
-    def __init__(self, seq: _Optional[int] = ..., revision: _Optional[int] = ..., part: _Optional[int] = ..., parts: _Optional[int] = ..., first_vertex: _Optional[int] = ..., encoding: _Optional[_Union[Frame.Encoding, str]] = ..., data: _Optional[bytes] = ..., final: bool = ..., residual: _Optional[float] = ..., max_error: _Optional[float] = ..., solve_ms: _Optional[float] = ..., queue_ms: _Optional[float] = ..., superseded: _Optional[int] = ..., attribute: _Optional[_Union[Frame.Attribute, str]] = ..., vertex_count: _Optional[int] = ..., indices: _Optional[_Iterable[int]] = ..., box_min: _Optional[_Iterable[float]] = ..., box_max: _Optional[_Iterable[float]] = ..., quality: _Optional[_Union[Quality, _Mapping]] = ..., animated: _Optional[_Union[Animated, _Mapping]] = ..., number: _Optional[int] = ..., found_turns: _Optional[_Iterable[_Union[FoundTurn, _Mapping]]] = ...) -> None: ...
+    origin: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, seq: _Optional[int] = ..., revision: _Optional[int] = ..., part: _Optional[int] = ..., parts: _Optional[int] = ..., first_vertex: _Optional[int] = ..., encoding: _Optional[_Union[Frame.Encoding, str]] = ..., data: _Optional[bytes] = ..., final: bool = ..., residual: _Optional[float] = ..., max_error: _Optional[float] = ..., solve_ms: _Optional[float] = ..., queue_ms: _Optional[float] = ..., superseded: _Optional[int] = ..., attribute: _Optional[_Union[Frame.Attribute, str]] = ..., vertex_count: _Optional[int] = ..., indices: _Optional[_Iterable[int]] = ..., box_min: _Optional[_Iterable[float]] = ..., box_max: _Optional[_Iterable[float]] = ..., quality: _Optional[_Union[Quality, _Mapping]] = ..., animated: _Optional[_Union[Animated, _Mapping]] = ..., number: _Optional[int] = ..., found_turns: _Optional[_Iterable[_Union[FoundTurn, _Mapping]]] = ..., origin: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Animated(_message.Message):
     __slots__ = ("index", "count", "time", "root_translation", "root_rotation", "digest", "cycles", "stage", "fraction", "report")
@@ -1269,18 +1275,20 @@ class CarryRequest(_message.Message):
     def __init__(self, session_id: _Optional[str] = ..., points: _Optional[_Iterable[float]] = ..., rotations: _Optional[_Iterable[float]] = ..., model: _Optional[bytes] = ..., format: _Optional[str] = ...) -> None: ...
 
 class CarryResponse(_message.Message):
-    __slots__ = ("revision", "points", "rotations", "scales", "model")
+    __slots__ = ("revision", "points", "rotations", "scales", "model", "warnings")
     REVISION_FIELD_NUMBER: _ClassVar[int]
     POINTS_FIELD_NUMBER: _ClassVar[int]
     ROTATIONS_FIELD_NUMBER: _ClassVar[int]
     SCALES_FIELD_NUMBER: _ClassVar[int]
     MODEL_FIELD_NUMBER: _ClassVar[int]
+    WARNINGS_FIELD_NUMBER: _ClassVar[int]
     revision: int
     points: _containers.RepeatedScalarFieldContainer[float]
     rotations: _containers.RepeatedScalarFieldContainer[float]
     scales: _containers.RepeatedScalarFieldContainer[float]
     model: bytes
-    def __init__(self, revision: _Optional[int] = ..., points: _Optional[_Iterable[float]] = ..., rotations: _Optional[_Iterable[float]] = ..., scales: _Optional[_Iterable[float]] = ..., model: _Optional[bytes] = ...) -> None: ...
+    warnings: _containers.RepeatedCompositeFieldContainer[Warning]
+    def __init__(self, revision: _Optional[int] = ..., points: _Optional[_Iterable[float]] = ..., rotations: _Optional[_Iterable[float]] = ..., scales: _Optional[_Iterable[float]] = ..., model: _Optional[bytes] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ...) -> None: ...
 
 class CrossingsRequest(_message.Message):
     __slots__ = ("session_id", "limit", "pairs")

@@ -27,12 +27,14 @@ impl Format {
         name: "splat",
         media_types: &["application/octet-stream"],
         recognise: |_| Recognition::Unlikely,
+        aliases: &[],
     });
     /// Niantic's packed Gaussian splats.
     pub const SPZ: Self = Self::new(&FormatDetails {
         name: "spz",
         media_types: &["application/gzip"],
         recognise: |bytes| Recognition::mark(spz::begins_like(bytes)),
+        aliases: &[],
     });
 
     /// The formats of a passenger that hold Gaussian splats and nothing else.
