@@ -2,6 +2,7 @@
 //! own, written from the VRM specification, says where colliders and eyes are.
 
 use crate::skins::{off_from_drawn, read_back};
+use crate::support::commands::Workplace;
 use crate::support::data::data_bytes;
 use crate::support::gltf_draft::Draft;
 use crate::support::gltf_parsed::{Parsed, parse};
@@ -349,4 +350,31 @@ fn joints_of_any_model_move_and_do_not_turn_where_that_is_chosen() {
     check_turns("moved", &before, &moved);
     let [a, b] = [&turned, &moved].map(|file| world_transforms(file, None).expect("plain")[2].translation);
     assert!((a - b).length() < 1e-5 && (a.y - 1.5).abs() > 0.01, "{a} {b}");
+}
+
+#[test]
+fn an_avatar_comes_and_goes_by_its_own_name() {
+    let folder = Workplace::empty();
+    folder.put("person.vrm", avatar(true));
+    let job = json!({
+        "handles": [
+            {"id": "feet", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -0.5}}},
+            {"id": "head", "region": {"halfSpace": {"normal": [0, 1, 0], "offset": 1.55}}},
+        ],
+        "steps": [{"pose": {"handles": [{"id": "head", "pose": {"rotationVector": [0, 0, 0.2], "translation": [0, 0.2, 0]}}]}}],
+    });
+    for (name, rig) in [("plain", "FOLLOW"), ("moved", "MOVE")] {
+        let mut job = job.clone();
+        job["create"] = json!({"rig": rig, "format": "vrm"});
+        folder.put("job.json", job.to_string());
+        folder.done(&format!("deform person.vrm --job job.json -o {name}.vrm"));
+        let written = folder.bytes(&format!("{name}.vrm"));
+        let file = parse(&written, &BTreeMap::new());
+        assert!(
+            file.json["nodes"][2]["rotation"].is_null() && file.json["nodes"][2]["scale"].is_null(),
+            "{rig}"
+        );
+        let head = world_transforms(&file, None).expect("plain")[2].translation;
+        assert!(head.y > 1.6, "{head}");
+    }
 }

@@ -21,7 +21,7 @@ use super::blended::{AccessorNumbers, EditedTurns};
 use super::frame::EditedMeshes;
 use super::looks::{CopyTarget, JoinedBases, MaterialCopier};
 use super::primitives::{MadePrimitive, MeshSpace, PrimitiveMaker};
-use super::skeletons::{FrameSkeleton, SkeletonJoiner, WrittenNode};
+use super::skeletons::{FrameSkeleton, NodeTransform, SkeletonJoiner, WrittenNode};
 use crate::codec::EditedOutput;
 use crate::edited::{EditedModel, PrimitiveRun};
 use crate::neutral::NeutralModel;
@@ -371,54 +371,5 @@ fn name_of(files: &FileSet, base: usize) -> String {
         format!("merged {base}")
     } else {
         files.name.clone()
-    }
-}
-
-/// A transform as a node can have it, a product of translation, rotation and scale, and what is then exactly that.
-pub(super) struct NodeTransform {
-    pub(super) transform: DAffine3,
-    /// The members of the node.
-    text: [(&'static str, String); 3],
-}
-
-impl NodeTransform {
-    /// `None` for a transform that shears or flattens.
-    fn from_affine(transform: &DAffine3) -> Option<Self> {
-        let m = &transform.matrix3;
-        let [x, y, z] = [
-            m.x_axis.try_normalize()?,
-            m.y_axis.try_normalize()?,
-            m.z_axis.try_normalize()?,
-        ];
-        if x.dot(y).abs().max(y.dot(z).abs()).max(z.dot(x).abs()) > 1e-6 {
-            return None;
-        }
-        Self::nearest(transform)
-    }
-
-    /// That without the shear of a transform; `None` for one that flattens.
-    pub(super) fn nearest(transform: &DAffine3) -> Option<Self> {
-        if transform.matrix3.determinant() == 0.0 {
-            return None;
-        }
-        let (scale, rotation, translation) = transform.to_scale_rotation_translation();
-        let rotation = rotation.normalize();
-        let transform = DAffine3::from_scale_rotation_translation(scale, rotation, translation);
-        let list = |numbers: &[f64]| json_array(numbers.iter().map(|v| format!("{v:?}")));
-        let text = [
-            ("translation", list(&translation.to_array())),
-            ("rotation", list(&rotation.to_array())),
-            ("scale", list(&scale.to_array())),
-        ];
-        transform.is_finite().then_some(Self { transform, text })
-    }
-
-    pub(super) fn write_into_node(&self, node: String) -> String {
-        if self.transform == DAffine3::IDENTITY {
-            return node;
-        }
-        self.text
-            .iter()
-            .fold(node, |node, (key, value)| with_member(&node, key, value))
     }
 }

@@ -11,7 +11,6 @@ use super::super::placement::{invert, joint_nodes};
 use super::super::rig::{FollowedNodeTree, rounded_matrix};
 use super::super::scene::{PlacedScene, place_meshes};
 use super::super::text::{json_array, json_object, value_of, with_member};
-use super::joined::NodeTransform;
 use super::looks::JoinedBases;
 use crate::{Error, WrittenWarning};
 use glam::DAffine3;
@@ -213,5 +212,54 @@ impl<'s, 'a> SkeletonJoiner<'s, 'a> {
             "{added} of {all} joints of {model} have no joint of the same name to become, and came along as their own: {names}"
         );
         Some(WrittenWarning::new("joints-added", message, "nodes"))
+    }
+}
+
+/// A transform as a node can have it, a product of translation, rotation and scale, and what is then exactly that.
+pub(super) struct NodeTransform {
+    pub(super) transform: DAffine3,
+    /// The members of the node.
+    text: [(&'static str, String); 3],
+}
+
+impl NodeTransform {
+    /// `None` for a transform that shears or flattens.
+    pub(super) fn from_affine(transform: &DAffine3) -> Option<Self> {
+        let m = &transform.matrix3;
+        let [x, y, z] = [
+            m.x_axis.try_normalize()?,
+            m.y_axis.try_normalize()?,
+            m.z_axis.try_normalize()?,
+        ];
+        if x.dot(y).abs().max(y.dot(z).abs()).max(z.dot(x).abs()) > 1e-6 {
+            return None;
+        }
+        Self::nearest(transform)
+    }
+
+    /// That without the shear of a transform; `None` for one that flattens.
+    fn nearest(transform: &DAffine3) -> Option<Self> {
+        if transform.matrix3.determinant() == 0.0 {
+            return None;
+        }
+        let (scale, rotation, translation) = transform.to_scale_rotation_translation();
+        let rotation = rotation.normalize();
+        let transform = DAffine3::from_scale_rotation_translation(scale, rotation, translation);
+        let list = |numbers: &[f64]| json_array(numbers.iter().map(|v| format!("{v:?}")));
+        let text = [
+            ("translation", list(&translation.to_array())),
+            ("rotation", list(&rotation.to_array())),
+            ("scale", list(&scale.to_array())),
+        ];
+        transform.is_finite().then_some(Self { transform, text })
+    }
+
+    pub(super) fn write_into_node(&self, node: String) -> String {
+        if self.transform == DAffine3::IDENTITY {
+            return node;
+        }
+        self.text
+            .iter()
+            .fold(node, |node, (key, value)| with_member(&node, key, value))
     }
 }

@@ -12,8 +12,7 @@ use super::super::scene::PlacedScene;
 use super::super::text::{
     JsonEdits, index_of, json_array, json_object, list_of, string_of, value_at, value_of, with_member,
 };
-use super::SkinnedShape;
-use super::motions::fits_at;
+use super::motions::{SkinnedShape, fits_at};
 use super::nodes::MovedNodes;
 use glam::DVec3;
 use pliant_mesh::BoundingBox;
@@ -83,7 +82,7 @@ struct AvatarPlace {
     local: DVec3,
 }
 
-enum Measured {
+enum MeasureKind {
     Point(PointForm),
     /// A length, of the mean size of its places.
     Length(f64),
@@ -95,7 +94,7 @@ struct Measure<'a> {
     holder: &'a str,
     key: &'static str,
     places: Vec<AvatarPlace>,
-    what: Measured,
+    what: MeasureKind,
 }
 
 fn number(object: &str, key: &str) -> Option<f64> {
@@ -161,7 +160,7 @@ impl<'a> Measures<'_, 'a> {
         all.list
     }
 
-    fn add(&mut self, holder: &'a str, key: &'static str, places: Vec<AvatarPlace>, what: Measured) {
+    fn add(&mut self, holder: &'a str, key: &'static str, places: Vec<AvatarPlace>, what: MeasureKind) {
         self.places += places.len();
         let is_there = places.iter().all(|place| place.node < self.doc.nodes.len());
         if is_there && !places.is_empty() && self.places <= MOST_PLACES {
@@ -181,14 +180,14 @@ impl<'a> Measures<'_, 'a> {
             local: form.read(holder, key),
         };
         if place.local != DVec3::ZERO {
-            self.add(holder, key, vec![place], Measured::Point(form));
+            self.add(holder, key, vec![place], MeasureKind::Point(form));
         }
         place
     }
 
     fn add_length(&mut self, holder: &'a str, key: &'static str, places: Vec<AvatarPlace>) {
         if let Some(length) = number(holder, key).filter(|length| *length != 0.0) {
-            self.add(holder, key, places, Measured::Length(length));
+            self.add(holder, key, places, MeasureKind::Length(length));
         }
     }
 
@@ -294,7 +293,7 @@ impl AvatarLengths {
         let mut of_measure = |measure: &Measure<'_>| {
             let mut own = fits.by_ref().take(measure.places.len());
             match measure.what {
-                Measured::Point(form) => {
+                MeasureKind::Point(form) => {
                     let place = measure.places.first()?;
                     let ((_, before), fit) = own.next()?;
                     let moved = *before + fit.shift;
@@ -303,7 +302,7 @@ impl AvatarLengths {
                     let is_same = was.transform_vector3(local - place.local).length() <= SAME * size;
                     (local.is_finite() && !is_same).then(|| form.write(local))
                 }
-                Measured::Length(length) => {
+                MeasureKind::Length(length) => {
                     let growth = own.map(|(_, fit)| fit.growth).sum::<f64>() / measure.places.len() as f64;
                     let is_same = (growth - 1.0).abs() <= SAME;
                     (growth.is_finite() && !is_same).then(|| format!("{}", (length * growth) as f32))
