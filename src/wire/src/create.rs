@@ -201,10 +201,9 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
             ties,
         },
         passengers: passengers(&create.passengers)?,
-        loose_vertices_ride: true,
-        loose_vertices_follow_edits: true,
         following: following(create)?,
         kept_apart: kept_apart(create.keep_apart.as_ref())?,
+        ..OpenOptions::default()
     })
 }
 
