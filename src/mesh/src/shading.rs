@@ -48,8 +48,8 @@ pub fn gradients(
         .collect()
 }
 
-/// Pairs each of some vertices that is in no triangle with the corner of the surface that is nearest to it at `rest`. The normals
-/// of points and lines turn as those there do.
+/// Pairs each of some vertices that is in no triangle with the corner of the surface that is nearest to it in the shape `rest`.
+/// The normals of points and lines turn as those there do.
 ///
 /// # Panics
 /// When an index is out of range.
@@ -71,7 +71,7 @@ pub fn nearest_corners(
 }
 
 /// The gradients of a model's vertices as [`gradients`], where those of `vertices` that are in no triangle have the one of the
-/// nearest corner at `rest`.
+/// nearest corner in the shape `rest`.
 ///
 /// # Panics
 /// As [`gradients`].

@@ -194,9 +194,9 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
             near_origin: true,
         },
         passengers: passengers(&create.passengers)?,
-        loose_vertices_ride: true,
         following: following(create)?,
         kept_apart: kept_apart(create.keep_apart.as_ref())?,
+        ..OpenOptions::default()
     })
 }
 

@@ -165,3 +165,46 @@ impl<'a> Duplicates<'a> {
             .any(|order| (0..3).all(|k| own[k].distance(their[order[k]]) <= self.distance))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pool::Pool;
+    use crate::progress::Silent;
+
+    #[test]
+    fn a_hidden_copy_goes_whole_and_leaves_no_hole_even_within_an_edge_length() {
+        // Two sheets of edges of 0.1, 0.05 above each other.
+        let mut positions = Vec::new();
+        let mut triangles = Vec::new();
+        for height in [0.0, 0.05] {
+            let first = positions.len() as u32;
+            let places = (0..36).map(|k| DVec3::new(f64::from(k % 6), f64::from(k / 6), 0.0) * 0.1 + DVec3::Z * height);
+            positions.extend(places);
+            for corner in (0..25).map(|k| first + k % 5 + 6 * (k / 5)) {
+                triangles.extend([[corner, corner + 1, corner + 7], [corner, corner + 7, corner + 6]]);
+            }
+        }
+        let points: Vec<u32> = (0..positions.len() as u32).collect();
+        let surface = SurfaceView {
+            positions: &positions,
+            triangles: &triangles,
+            primitive_of: &vec![0; triangles.len()],
+            point_of: &points,
+            points: points.len() as u32,
+        };
+        let pool = Pool::new(2).expect("threads");
+        let unwanted = |distance| {
+            let clean = CleanCommand {
+                duplicates_within: Some(distance),
+                ..CleanCommand::default()
+            };
+            unwanted_faces(&surface, &clean, &Exec::new(&pool, &Silent)).expect("something is left")
+        };
+        let upper: Vec<u32> = (50..100).collect();
+        for distance in [0.051, 0.09, 0.15] {
+            assert_eq!(unwanted(distance), upper, "{distance}");
+        }
+        assert_eq!(unwanted(0.049), Vec::<u32>::new());
+    }
+}

@@ -37,7 +37,6 @@ impl Deformer {
     pub fn edit(&mut self, order: &EditCommand<'_>, exec: &Exec<'_>) -> Result<EditOutcome, Error> {
         exec.progress.report("edit", 0.0);
         let at_rest = order.on == EditedShape::Rest;
-        let follows = self.options.loose_vertices_ride;
         if order.shape.positions.len() != self.rest().len() {
             return Err(Error::Internal("the shape of another model".into()));
         }
@@ -79,29 +78,8 @@ impl Deformer {
         let mut patch = plan_edit(&mut context, order.edit, &Exec::new(exec.pool, &beside))?;
         exec.check()?;
         patch.idle = std::mem::take(&mut surface.idle_vertices);
-        (surface.seams).part_facets(&mut patch, &surface.own_surface());
-        if let Some((plane, keeps_above)) = order.edit.one_sided_plane().filter(|_| follows) {
-            let segments = origins.line_segments(self.geometry())?;
-            let firsts = surface.first_vertices();
-            cut_segments(
-                &mut patch,
-                &surface.own_surface(),
-                &segments,
-                &plane,
-                keeps_above,
-                &firsts,
-            );
-        }
+        let (applied, left_behind) = self.apply(&mut patch, &surface, &origins, order, exec)?;
         let patch = &patch;
-        let mut applied = apply_patch(&surface.own_surface(), patch, &surface.first_vertices())?;
-        let ridden = RiddenEdit {
-            model: self.derived.riding_model(),
-            before: surface.own_surface(),
-            patch,
-            kind: order.edit.kind(),
-            follows,
-        };
-        let left_behind = ridden.follow(&mut applied, exec)?;
         self.admit_size(&applied, exec)?;
         let mut carried = self.carry(&applied, patch, &surface.seams, order, exec)?;
         let mut report = self.report_edit(before, &applied, patch);
@@ -155,6 +133,34 @@ impl Deformer {
         let outcome = next.shape_after_edit(carried, report, at_rest.then_some(settings), exec)?;
         self.give_way(next);
         Ok(outcome)
+    }
+
+    /// The surface after a patch, with what rides along; and what is to be said of what of that stays behind.
+    fn apply(
+        &self,
+        patch: &mut SurfacePatch,
+        surface: &EditSurface,
+        origins: &VertexOrigins,
+        order: &EditCommand<'_>,
+        exec: &Exec<'_>,
+    ) -> Result<(PatchedSurface, Option<DeformerWarning>), Error> {
+        let follows = self.options.loose_vertices_ride;
+        let (before, firsts) = (surface.own_surface(), surface.first_vertices());
+        (surface.seams).part_facets(patch, &before);
+        if let Some((plane, keeps_above)) = order.edit.one_sided_plane().filter(|_| follows) {
+            let segments = origins.line_segments(self.geometry())?;
+            cut_segments(patch, &before, &segments, &plane, keeps_above, &firsts);
+        }
+        let mut applied = apply_patch(&before, patch, &firsts)?;
+        let ridden = RiddenEdit {
+            model: self.derived.riding_model(),
+            before,
+            patch,
+            kind: order.edit.kind(),
+            follows,
+        };
+        let left_behind = ridden.follow(&mut applied, exec)?;
+        Ok((applied, left_behind))
     }
 
     /// What an edit has done, but for the shape after it.

@@ -16,7 +16,7 @@ use glam::{DQuat, DVec3};
 use std::cell::OnceCell;
 use std::collections::BTreeMap;
 
-/// What is no further from the surface than this share of its box's diagonal lies on it: 32-bit numbers are as exact.
+/// What is within this share of the box's diagonal from the surface lies on it: 32-bit numbers are as exact.
 const ON_SURFACE: f64 = 1e-6;
 /// What would move by less than this share stays where it is.
 const STAYS: f64 = 1e-9;

@@ -54,6 +54,7 @@ mod deformed;
 mod document;
 mod draco;
 mod edited;
+mod elements;
 mod extensions;
 mod fresh;
 mod looks;

@@ -3,6 +3,7 @@
 use super::accessors::{ComponentType, ShapeAttribute};
 use super::document::{GltfDocument, ParsedDocument};
 use super::draco;
+use super::elements::{indices_beyond, to_triangles};
 use super::placement::{Placement, SkinPose, SkinSeams, VertexInfluences, VertexTransforms};
 use super::scene::{self, MeshPlacement, PlacedScene};
 use super::schema::{DRACO, MeshPrimitive};
@@ -295,7 +296,10 @@ impl GltfReader<'_, '_> {
         doc.decode_for(used.chain(coordinates.iter().copied()))?;
 
         if class == PrimitiveClass::PointsAndLines {
-            self.warn_of_drawn_indices(primitive, count, &place())?;
+            let beyond = indices_beyond(doc, primitive, count, self.watch)?;
+            self.geometry
+                .warnings
+                .extend(beyond.map(|message| ("bad-line-index".into(), message, place())));
         }
         let triangles = if most > 0 {
             self.read_triangles(primitive, count as usize, &place())?
@@ -408,25 +412,6 @@ impl GltfReader<'_, '_> {
             self.warn("incomplete-triangle", message, place);
         }
         Ok(to_triangles(&corners, primitive.mode()))
-    }
-
-    /// Warns of indices of points and lines that name no vertex. They stay as they are stored until an edit leaves them out.
-    fn warn_of_drawn_indices(&mut self, primitive: &MeshPrimitive, vertices: u64, place: &str) -> Result<(), Error> {
-        let Some(indices) = primitive.indices else {
-            return Ok(());
-        };
-        let bytes = self.doc.accessors.values[indices.index()].count.0.saturating_mul(8);
-        self.watch.reserve(bytes)?;
-        let stored = self.doc.read_indices(indices.index())?;
-        let beyond = stored.iter().filter(|v| u64::from(**v) >= vertices).count();
-        self.watch.release(bytes);
-        if beyond > 0 {
-            let message = format!(
-                "{beyond} indices of points or lines name no vertex, there are {vertices}; an edit leaves them out"
-            );
-            self.warn("bad-line-index", message, place);
-        }
-        Ok(())
     }
 
     /// How joints put the vertices of a primitive into the world; `None` where its node does. A skin that cannot say leaves
@@ -593,27 +578,5 @@ pub(super) fn normal_matrix(m: &DMat3) -> DMat3 {
         cofactor * -1.0
     } else {
         cofactor
-    }
-}
-
-/// Lists, strips and fans become triangles; those of strips and fans that only stitch pieces together are left out.
-fn to_triangles(corners: &[u32], mode: u64) -> Vec<[u32; 3]> {
-    let stitched = |t: &[u32; 3]| t[0] != t[1] && t[1] != t[2] && t[2] != t[0];
-    match (mode, corners) {
-        (4, _) => corners.as_chunks::<3>().0.to_vec(),
-        (5, _) => corners
-            .windows(3)
-            .enumerate()
-            .map(|(i, w)| {
-                if i % 2 == 0 {
-                    [w[0], w[1], w[2]]
-                } else {
-                    [w[0], w[2], w[1]]
-                }
-            })
-            .filter(stitched)
-            .collect(),
-        (_, [center, rim @ ..]) => rim.windows(2).map(|w| [w[0], w[1], *center]).filter(stitched).collect(),
-        _ => Vec::new(),
     }
 }

@@ -317,7 +317,7 @@ fn read_library(text: &[u8], files: &FileSet, library: &mut MaterialLibrary) {
 }
 
 /// Texture coordinates are placed once for both pictures: a picture of normals that lies elsewhere than the one of colours is left
-/// out, which [`warn_of_missing`] tells.
+/// out, which [`warn_of_missing`] reports.
 fn place_normals(look: &mut BaseLook, normals_at: PicturePlacing) {
     if look.normals.is_none() {
         return;

@@ -4,6 +4,8 @@
 //! (materials, groups, curves, whatever is unknown) are never interpreted, so they survive untouched.
 
 mod edited;
+#[cfg(test)]
+mod edited_tests;
 mod foreign;
 mod library;
 mod read;

@@ -2,6 +2,7 @@
 
 use super::super::text::newline_of;
 use super::body::{PlyElement, PlyEncoding, PlyProperty, PlyScalar, push};
+use super::edges::rewired;
 use super::read::{FORMAT, PlyNotes, PlyTable, VertexRole, edge_ends, is_indices, read_table, stored_types};
 use crate::codec::EditedOutput;
 use crate::edited::{CarriedAttributes, EditedModel, FollowedLines, PrimitiveRun, RunFaces, TriangleOrigins};
@@ -457,68 +458,6 @@ enum PropertyColumn {
     /// The same for all, 1 being the whole of the type's range.
     Constant(f64),
     Nothing,
-}
-
-/// Rows of edges, where two edges that meet at a vertex which is gone, and no other edge does, are one: the first of them, to the
-/// end of the second. With how many each was.
-fn rewired(rows: &[Vec<f64>], [from, to]: [usize; 2], followed: &FollowedLines) -> Vec<(Vec<f64>, usize)> {
-    let is_gone = |row: &[f64], end: usize| followed.vertex(row[end] as u32).is_none();
-    let mut rows: Vec<Option<(Vec<f64>, usize)>> = rows.iter().cloned().map(|row| Some((row, 1))).collect();
-    let mut at: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
-    for (r, row) in rows.iter().enumerate() {
-        let Some((row, _)) = row else { continue };
-        for end in [from, to].into_iter().filter(|end| is_gone(row, *end)) {
-            at.entry(row[end] as u32).or_default().push(r);
-        }
-    }
-    // The row that each has become a part of.
-    let mut now: Vec<usize> = (0..rows.len()).collect();
-    for (vertex, met) in at {
-        let [mut first, mut second] = match met.as_slice() {
-            [a, b] if a != b => [*a, *b],
-            _ => continue,
-        };
-        while now[first] != first {
-            first = now[first];
-        }
-        while now[second] != second {
-            second = now[second];
-        }
-        if first == second {
-            continue;
-        }
-        let (first, second) = (first.min(second), first.max(second));
-        let Some((gone, count)) = rows[second].take() else {
-            continue;
-        };
-        let other = if gone[from] as u32 == vertex {
-            gone[to]
-        } else {
-            gone[from]
-        };
-        now[second] = first;
-        if let Some((row, own)) = &mut rows[first] {
-            let end = if row[from] as u32 == vertex { from } else { to };
-            row[end] = other;
-            *own += count;
-        }
-    }
-    rows.into_iter().flatten().collect()
-}
-
-/// The segments of the edges of a model, by its vertices.
-pub(super) fn segments(model: &Model) -> Result<Vec<[u32; 2]>, Error> {
-    let table = read_table(&model.files.main, &model.geometry.positions)?;
-    let ends = table
-        .header
-        .elements
-        .iter()
-        .filter(|e| e.name == "edge")
-        .find_map(edge_ends);
-    let count = model.geometry.positions.len();
-    let rows = table.edges.iter().filter_map(|row| Some(ends?.map(|end| row[end])));
-    let is_there = |ends: &[f64; 2]| ends.iter().all(|&v| v >= 0.0 && v < count as f64);
-    Ok(rows.filter(is_there).map(|ends| ends.map(|v| v as u32)).collect())
 }
 
 /// The types of the numbers of edges, of which two number so many vertices.

@@ -4,6 +4,7 @@
 //! `face` or `tristrips`. Whatever else it holds is stepped over and survives.
 
 pub(super) mod body;
+mod edges;
 mod edited;
 mod read;
 #[cfg(test)]
@@ -60,7 +61,7 @@ impl FormatCodec for PlyCodec {
     }
 
     fn segments(&self, model: &Model) -> Result<Vec<[u32; 2]>, Error> {
-        edited::segments(model)
+        edges::segments(model)
     }
 
     fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {

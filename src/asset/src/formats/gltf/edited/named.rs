@@ -2,6 +2,7 @@
 
 use super::super::builder::AccessorKind;
 use super::super::document::GltfDocument;
+use super::super::elements::{segments_between, stored_elements};
 use super::super::extensions::{FEATURES, OUTLINE};
 use super::super::read::{GltfNotes, PlacedPrimitive};
 use super::super::schema::MeshPrimitive;
@@ -20,7 +21,7 @@ impl PrimitiveMaker<'_, '_> {
         row: &PlacedPrimitive,
         primitive: &MeshPrimitive,
     ) -> Result<(usize, u64), Error> {
-        let stored = stored_elements(self.doc, row, primitive)?;
+        let stored = stored_elements(self.doc, primitive, row.vertices.clone())?;
         let followed = FollowedLines::of_runs(self.edited, std::iter::once(run));
         let there: Option<Vec<u32>> = stored.iter().map(|old| followed.vertex(*old)).collect();
         let is_whole = run.vertex_count as usize == row.vertices.len();
@@ -107,41 +108,16 @@ impl PrimitiveMaker<'_, '_> {
     }
 }
 
-/// The vertices of the model that a primitive of points or lines names, in order; those that there are not are left out.
-fn stored_elements(
-    doc: &GltfDocument<'_>,
-    row: &PlacedPrimitive,
-    primitive: &MeshPrimitive,
-) -> Result<Vec<u32>, Error> {
-    let count = row.vertices.len() as u32;
-    let stored = match primitive.indices {
-        Some(indices) => {
-            doc.decode_for([indices.index()])?;
-            doc.read_indices(indices.index())?
-        }
-        None => (0..count).collect(),
-    };
-    let first = row.vertices.start as u32;
-    Ok(stored.into_iter().filter(|v| *v < count).map(|v| first + v).collect())
-}
-
-/// The pairs of vertices that lines of a mode are drawn between.
-fn segments_between(vertices: &[u32], mode: u64) -> Vec<[u32; 2]> {
-    let strip = vertices.windows(2).map(|pair| [pair[0], pair[1]]);
-    match (mode, vertices) {
-        (1, _) => vertices.as_chunks::<2>().0.to_vec(),
-        (2, [first, .., last]) => strip.chain([[*last, *first]]).collect(),
-        _ => strip.collect(),
-    }
-}
-
 /// The segments of the lines of a document, by the vertices of its model.
 pub(in super::super) fn segments(doc: &GltfDocument<'_>, notes: &GltfNotes) -> Result<Vec<[u32; 2]>, Error> {
     let mut found = Vec::new();
     for row in &notes.rows {
         let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
         if let mode @ 1..4 = primitive.mode() {
-            found.extend(segments_between(&stored_elements(doc, row, primitive)?, mode));
+            found.extend(segments_between(
+                &stored_elements(doc, primitive, row.vertices.clone())?,
+                mode,
+            ));
         }
     }
     Ok(found)
