@@ -117,7 +117,8 @@ fn make_perpendicular(axes: &mut [DVec3; 3]) {
         for (i, j) in [(0, 1), (0, 2), (1, 2)] {
             let (a, b) = (axes[i], axes[j]);
             let (aa, bb, ab) = (a.length_squared(), b.length_squared(), a.dot(b));
-            if !(ab.abs() > PERPENDICULAR * (aa * bb).sqrt()) {
+            let is_skew = ab.abs() > PERPENDICULAR * (aa * bb).sqrt();
+            if !is_skew {
                 continue;
             }
             done = false;
