@@ -62,7 +62,7 @@ impl SampleRows {
 }
 
 impl CarriedPoints {
-    /// Carries the points from `first` on, as many as there are lanes and points; the lanes of none stay at rest.
+    /// Carries the points from `first` on, as many as there are lanes and points; the lanes of none stay in the rest pose.
     ///
     /// # Panics
     /// When `rows` are of a surface with fewer samples than the points were bound to.
@@ -119,7 +119,7 @@ impl CarriedPoints {
 }
 
 impl LaneSpaces {
-    /// Sets a lane to where a point at `rest` has been carried in double precision.
+    /// Sets a lane to where a point of the rest place `rest` has been carried in double precision.
     fn set_lane(&mut self, lane: usize, rest: DVec3, space: CarriedSpace) {
         let offset = (space.frame.position - rest).to_array();
         let all = self.offset.iter_mut().chain(&mut self.gradient);
