@@ -240,7 +240,7 @@ pub(super) fn read_named_models(job: &mut pb::Job, place: &str, files: &NamedFil
             let bytes = models.read_once(name, || format!("{place}passengers[{k}].file.file"))?;
             report_format(&mut file.format, name);
             if file.format.is_empty() {
-                // A file of splats may have no mark that tells its format.
+                // A file of splats may have no mark that names its format.
                 let reported = Format::of_passenger_file(name);
                 file.format = reported.map_or_else(String::new, |f| f.name().to_owned());
             }

@@ -122,7 +122,7 @@ impl CarriedPoints {
         samples.zip(self.weights[own].iter().copied())
     }
 
-    /// Where a point is at rest.
+    /// Where a point is in the rest pose.
     pub fn point(&self, i: usize) -> DVec3 {
         self.points[i]
     }

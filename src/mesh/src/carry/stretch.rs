@@ -107,7 +107,7 @@ impl SurfaceStretch {
         self.samples.len()
     }
 
-    /// The sums of a sample's fit: moved, and at rest.
+    /// The sums of a sample's fit: moved, and in the rest pose.
     pub(super) fn sample(&self, sample: usize) -> (DMat3, DMat3) {
         let SampleStretch { moved, rest } = self.samples[sample];
         (moved, rest)

@@ -15,7 +15,7 @@ const BATCH: usize = 256;
 const MOST_LOG_SCALE: f32 = 40.0;
 /// The least one that a motion makes of a larger one, when it flattens a splat.
 const LEAST_LOG_SCALE: f32 = -40.0;
-/// Below this cosine two axes count as perpendicular; single precision tells no more.
+/// Below this cosine two axes count as perpendicular; single precision resolves no more.
 const PERPENDICULAR: f64 = 1e-9;
 /// Rounds of turning axes against each other; five are enough for any.
 const ROUNDS: usize = 12;
@@ -117,7 +117,8 @@ fn make_perpendicular(axes: &mut [DVec3; 3]) {
         for (i, j) in [(0, 1), (0, 2), (1, 2)] {
             let (a, b) = (axes[i], axes[j]);
             let (aa, bb, ab) = (a.length_squared(), b.length_squared(), a.dot(b));
-            if !(ab.abs() > PERPENDICULAR * (aa * bb).sqrt()) {
+            let is_skew = ab.abs() > PERPENDICULAR * (aa * bb).sqrt();
+            if !is_skew {
                 continue;
             }
             done = false;

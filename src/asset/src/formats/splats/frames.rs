@@ -20,7 +20,7 @@ const PERPENDICULAR: f32 = 1e-11;
 pub struct SplatFrame {
     /// Its centre.
     pub center: [f32; 3],
-    /// The rotation of its axes, x, y, z, w. Viewers turn the direction of sight back by it, relative to that at rest, instead of
+    /// The rotation of its axes, x, y, z, w. Viewers turn the direction of sight back by what it is beyond the rest pose, instead of
     /// turning spherical harmonics.
     pub turn: [f32; 4],
     /// Standard deviations along the axes.
@@ -31,7 +31,7 @@ pub struct SplatFrame {
 #[derive(Debug)]
 pub struct SplatFrames {
     points: CarriedPoints,
-    /// The axes of each at rest, the longest of length 1: for each group of lanes nine numbers, column by column.
+    /// The axes of each in the rest pose, the longest of length 1: for each group of lanes nine numbers, column by column.
     axes: Vec<[Lane; 9]>,
     /// How long the longest is.
     sizes: Vec<Lane>,

@@ -5,7 +5,7 @@
 
 use glam::{DQuat, DVec3};
 
-/// Directions in which the harmonics of degree 2 and 3 are well told apart (condition 1.8 and 2.5); of degree 1 the axes.
+/// Directions in which the harmonics of degree 2 and 3 differ well (condition 1.8 and 2.5); of degree 1 the axes.
 const DIRECTIONS_2: [[f64; 3]; 5] = [
     [-1.0, 3.0, 1.0],
     [0.0, -1.0, -3.0],

@@ -172,7 +172,7 @@ impl Splats {
         let mut warnings = Vec::new();
         if let Some(unsound) = counted(self.unsound(), "splat has", "splats have") {
             let message = format!(
-                "{unsound} a rotation of length 0, or a scale or rotation that is no number; they move and keep their shape"
+                "{unsound} a rotation of length 0, or a scale or rotation that is not a number; they move and keep their shape"
             );
             warnings.push(WrittenWarning::new("splats-unsound", message, ""));
         }

@@ -49,7 +49,7 @@ pub(super) fn read(main: Bytes, watch: &ReadWatch<'_>) -> Result<Splats, Error> 
         let center = [real(0), real(1), real(2)].map(f64::from);
         splats.centers.push(DVec3::from_array(center));
         let part = |k: usize| (f32::from(record[k]) - 128.0) / 128.0;
-        // The logarithm of what is negative is no number, and the splat has no shape then.
+        // A negative scale has NaN as its logarithm, and the splat has no shape then.
         let log_scale = [real(3), real(4), real(5)].map(libm::logf);
         splats
             .shapes

@@ -286,7 +286,8 @@ fn put_place(splats: &Splats, row: usize, layout: SpzLayout, bytes: &mut [u8]) -
     let center = &mut bytes[layout.place(0, row)];
     for (out, value) in center.chunks_exact_mut(3).zip(splats.centers[row].to_array()) {
         let whole = libm::round(value * unit);
-        if !(whole.abs() < COORDINATE_END) {
+        let fits = whole.abs() < COORDINATE_END;
+        if !fits {
             let problem = format!(
                 "a coordinate of splat {row} is {value}, those with {} binary places are below {}; choose ply",
                 layout.places,

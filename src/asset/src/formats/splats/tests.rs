@@ -17,7 +17,7 @@ impl Dice {
     }
 }
 
-/// A file as 3DGS writes it, with a property that nobody knows, of splats that are twice as long as wide.
+/// A file as 3DGS writes it, with a property that no program knows, of splats that are twice as long as wide.
 fn ply_of(count: usize, degree: u8) -> Vec<u8> {
     let rest = cloud::coefficients_of(degree);
     let mut header = format!("ply\nformat binary_little_endian 1.0\nelement vertex {count}\n");
