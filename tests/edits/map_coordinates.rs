@@ -68,7 +68,7 @@ fn text_of(place: DVec3, format: Format) -> String {
     text
 }
 
-/// Every kind of step; a pose follows the edits.
+/// Every kind of step.
 fn jobs_at(place: DVec3) -> Vec<Value> {
     let pose = json!({"pose": {"handles": [{"id": "top", "pose": {
         "rotationVector": [0, 0, -1.2], "pivot": (place + DVec3::Y * 2.0).to_array(), "translation": [1.1, -0.7, 0]
@@ -89,7 +89,16 @@ fn jobs_at(place: DVec3) -> Vec<Value> {
         json!({"smooth": {"iterations": 3}}),
         json!({"insertCurve": {"points": curve}}),
     ];
-    let edited = edits.into_iter().map(|edit| json!([{"edit": edit}, pose.clone()]));
+    // What makes new places is looked at by itself: a graph between them depends on their last digits, near the origin as well.
+    let is_posed = |edit: &Value| {
+        ["subdivide", "decimate", "cut"]
+            .iter()
+            .any(|kind| edit.get(kind).is_some())
+    };
+    let edited = edits.into_iter().map(|edit| match is_posed(&edit) {
+        true => json!([{"edit": edit}, pose.clone()]),
+        false => json!([{"edit": edit}]),
+    });
     let steps = [
         json!([]),
         json!([pose.clone()]),
@@ -126,7 +135,8 @@ fn a_model_far_away_comes_out_where_the_same_one_near_the_origin_does() {
             // Each format with some of the steps, and all steps with one.
             let formats = [Format::OBJ, Format::OFF, Format::PLY, Format::STL];
             for format in formats.into_iter().filter(|f| *f == Format::OBJ || n < 3 && k == 0) {
-                for to in [format, Format::GLB, Format::PLY] {
+                let outputs = [format, Format::GLB, Format::PLY];
+                for to in outputs.into_iter().take(if n < 3 { 3 } else { 1 }) {
                     let what = format!("{format} to {to} at {place} with {}", job["steps"]);
                     let (far, expected) = (
                         run(place, job, format, to, &exec),
