@@ -89,7 +89,7 @@ fn jobs_at(place: DVec3) -> Vec<Value> {
         json!({"smooth": {"iterations": 3}}),
         json!({"insertCurve": {"points": curve}}),
     ];
-    // What makes new places is looked at by itself: a graph between them depends on their last digits, near the origin as well.
+    // What makes new places is looked at alone: a graph between them depends on their last digits, near the origin as well.
     let is_posed = |edit: &Value| {
         ["subdivide", "decimate", "cut"]
             .iter()
