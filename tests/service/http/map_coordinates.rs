@@ -6,7 +6,7 @@ use futures::StreamExt as _;
 use glam::DVec3;
 use pliant::asset::shapes::box_with_cells;
 use pliant::wire::pb::{self, deform_response};
-use serde_json::{Value, json};
+use serde_json::json;
 
 const PLACE: DVec3 = DVec3::new(523_417.3, 5_274_861.7, 412.1);
 
@@ -14,10 +14,6 @@ fn bar_at(place: DVec3) -> String {
     let (mut positions, triangles) = box_with_cells(DVec3::new(0.5, 0.5, 4.0), [3, 3, 24]);
     positions.iter_mut().for_each(|p| *p += place);
     obj_text(&(positions, triangles))
-}
-
-fn origin_of(numbers: &Value) -> DVec3 {
-    DVec3::from_slice(&serde_json::from_value::<Vec<f64>>(numbers.clone()).expect("three numbers"))
 }
 
 fn placed(bytes: &[u8], origin: DVec3) -> Vec<DVec3> {
@@ -28,14 +24,22 @@ fn placed(bytes: &[u8], origin: DVec3) -> Vec<DVec3> {
         .collect()
 }
 
-fn assert_near(what: &str, far: &[DVec3], near: &[DVec3], within: f64) {
-    assert_eq!(far.len(), near.len(), "{what}");
-    let off = far
-        .iter()
-        .zip(near)
-        .map(|(p, q)| (*p - PLACE - *q).length())
-        .fold(0.0, f64::max);
+fn assert_near(what: &str, seen: &[DVec3], wanted: &[DVec3], within: f64) {
+    assert_eq!(seen.len(), wanted.len(), "{what}");
+    let off = seen.iter().zip(wanted).map(|(p, q)| (*p - *q).length());
+    let off = off.fold(0.0, f64::max);
     assert!(off < within, "{what}: {off} off");
+}
+
+/// Where the vertices of an OBJ are, which has doubles.
+fn places_of(obj: &str) -> Vec<DVec3> {
+    let rows = obj.lines().filter_map(|line| line.strip_prefix("v "));
+    let numbers = |row: &str| {
+        row.split(' ')
+            .map(|word| word.parse().expect("a number"))
+            .collect::<Vec<f64>>()
+    };
+    rows.map(|row| DVec3::from_slice(&numbers(row))).collect()
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -52,49 +56,39 @@ async fn buffers_and_frames_of_a_model_far_away_name_their_origin() {
         json!({"pose": {"handles": [{"id": "top", "pose": {"rotationVector": [0, 0.9, 0], "pivot": pivot}}]},
             "options": {"tolerance": 1e-6}})
     };
-    let mut shapes = Vec::new();
-    let mut far = String::new();
+    let (mut far, mut shape) = (String::new(), Vec::new());
     for place in [DVec3::ZERO, PLACE] {
         let opened = server.open(bar_at(place)).await;
-        let id = text(&opened["id"]);
+        far = text(&opened["id"]);
         let put = server
-            .put(&path(&id, "/handles"))
+            .put(&path(&far, "/handles"))
             .json(&handles(place.z))
             .answer()
             .await;
         assert_eq!(put.status(), 200);
-        let solved = server.post(&path(&id, "/solve")).json(&turn(place)).document().await;
-        let buffer = server.get(&path(&id, "/positions")).answer().await;
-        let told = buffer
-            .headers()
-            .get("x-pliant-origin")
-            .map(|value| value.to_str().expect("text").to_owned());
-        let frame = &solved["frames"][0];
-        if place == DVec3::ZERO {
-            assert!(
-                opened.get("origin").is_none() && frame.get("origin").is_none() && told.is_none(),
-                "{opened}"
-            );
-            let near = placed(&buffer.bytes().await.expect("bytes"), DVec3::ZERO);
-            shapes.push(near);
-            continue;
-        }
-        let origin = origin_of(&opened["origin"]);
-        assert_eq!(origin_of(&frame["origin"]), origin);
-        let words: Vec<f64> = told
-            .expect("a header")
-            .split(' ')
-            .map(|word| word.parse().expect("a number"))
-            .collect();
-        assert_eq!(DVec3::from_slice(&words), origin);
+        let solved = server.post(&path(&far, "/solve")).json(&turn(place)).document().await;
+        let model = server.content(&path(&far, "/model?format=obj")).await;
+        shape = places_of(&String::from_utf8_lossy(&model));
+        let buffer = server.get(&path(&far, "/positions")).answer().await;
+        let header = buffer.headers().get("x-pliant-origin");
+        let words = header.map(|value| value.to_str().expect("text").to_owned());
+        let words = words.iter().flat_map(|text| text.split(' '));
+        let named: Vec<f64> = words.map(|word| word.parse().expect("a number")).collect();
+        assert_eq!(json!(named), opened["origin"], "the header says what the session does");
+        assert_eq!(solved["frames"][0]["origin"], opened["origin"]);
+        assert_eq!(named.is_empty(), place == DVec3::ZERO, "{named:?}");
+        let origin = if named.is_empty() {
+            DVec3::ZERO
+        } else {
+            DVec3::from_slice(&named)
+        };
         assert_eq!(origin.as_vec3().as_dvec3(), origin, "32-bit readers have the same one");
-        shapes.push(placed(&buffer.bytes().await.expect("bytes"), origin));
-        far = id;
+        let buffer = placed(&buffer.bytes().await.expect("bytes"), origin);
+        assert_near("the buffer", &buffer, &shape, 1e-6);
     }
-    assert_near("the buffer", &shapes[1], &shapes[0], 1e-5);
 
     // A stream's frames as well, in floats and in steps.
-    for encoding in [pb::frame::Encoding::F32, pb::frame::Encoding::Meshopt] {
+    for (encoding, within_step) in [(pb::frame::Encoding::F32, 1e-6), (pb::frame::Encoding::Meshopt, 2e-4)] {
         let (requests, mut responses) = server.stream(&far).await;
         let output = Some(pb::Output {
             encoding: encoding.into(),
@@ -109,12 +103,16 @@ async fn buffers_and_frames_of_a_model_far_away_name_their_origin() {
             .await
             .expect("sent");
         let pose: pb::Pose = pliant::wire::json::from_json(turn(PLACE)["pose"].to_string().as_bytes()).expect("a pose");
-        let pose = pb::Pose { seq: 1, ..pose };
+        let pose = pb::Pose {
+            seq: 1,
+            commit: true,
+            ..pose
+        };
         requests
             .send(message(pb::deform_request::Message::Pose(pose)))
             .await
             .expect("sent");
-        let mut reader = pliant::wire::frames::FrameReader::new(shapes[0].len());
+        let mut reader = pliant::wire::frames::FrameReader::new(shape.len());
         let part = loop {
             let next = within("a frame", responses.next())
                 .await
@@ -122,6 +120,7 @@ async fn buffers_and_frames_of_a_model_far_away_name_their_origin() {
                 .expect("no error");
             if let Some(deform_response::Message::Frame(part)) = next.message
                 && reader.take(&part).expect("a part")
+                && part.r#final
             {
                 break part;
             }
@@ -129,6 +128,8 @@ async fn buffers_and_frames_of_a_model_far_away_name_their_origin() {
         let numbers = reader.numbers(pb::frame::Attribute::Position);
         let bytes: Vec<u8> = numbers.iter().flat_map(|n| n.to_le_bytes()).collect();
         let origin = DVec3::from_slice(&part.origin);
-        assert_near(encoding.as_str_name(), &placed(&bytes, origin), &shapes[0], 5e-3);
+        let model = server.content(&path(&far, "/model?format=obj")).await;
+        let shape = places_of(&String::from_utf8_lossy(&model));
+        assert_near(encoding.as_str_name(), &placed(&bytes, origin), &shape, within_step);
     }
 }
