@@ -134,7 +134,7 @@ async fn a_set_that_is_sent_again_turns_nothing_that_it_does_not_name() {
     };
     let before = fixture.positions().await;
     // The ring lies where the top has turned about: the joint moves up. Then it is taken away, and the joint moves back.
-    for set in [vec![base(), top(turn), ring()], vec![base(), top(turn)]] {
+    for set in [vec![base(), top(turn.clone()), ring()], vec![base(), top(turn)]] {
         fixture.set_handles(HandleSet::from(set)).await;
         fixture.solve(still.clone()).await;
         assert_eq!(
@@ -158,7 +158,7 @@ async fn a_turn_that_was_found_is_told_and_a_commit_goes_on_from_that_of_the_dra
     let mut client = fixture.client().await;
     let mut dragged = Vec::new();
     for seq in 1..=8 {
-        client.push(posed(seq, vec![("top".into(), aside)], false));
+        client.push(posed(seq, vec![("top".into(), aside.clone())], false));
         dragged = client.frame().await.header.found_turns;
         client.ack(seq);
     }

@@ -53,6 +53,7 @@ mod solve;
 mod stiff;
 mod topology_state;
 mod tube_region;
+mod vertex_targets;
 
 pub use crate::deform::{PoseStats, Quality, SolveUpdate};
 pub use crate::reference::Method;
@@ -87,3 +88,4 @@ pub use solve::Drag;
 pub use stiff::find_hard_parts;
 pub use topology_state::TopologyState;
 pub use tube_region::MOST_TUBE_POINTS;
+pub use vertex_targets::{StiffnessPer, VertexTargets};

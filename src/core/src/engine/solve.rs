@@ -45,8 +45,9 @@ impl Deformer {
                 let problem = format!("no handle \"{id}\" is set, there are {}", ids.join(", "));
                 return Err(Error::invalid(format!("pose.handles[{k}].id"), problem));
             };
-            check_free_rotation(&handles[at], &pose, &format!("pose.handles[{k}].pose"))?;
-            all[at] = pose;
+            let field = format!("pose.handles[{k}].pose");
+            check_free_rotation(&handles[at], &pose, &field)?;
+            all[at] = (self.handles).with_targets(at, pose, Some(&all[at]), self.rest(), &field)?;
         }
         Ok(HandlePoses(Arc::new(all)))
     }
@@ -124,6 +125,9 @@ impl Deformer {
             return Err(Error::Internal("handles without a system".into()));
         };
         let body = &derived.body;
+        let rest = &derived.topology().rest;
+        let targets = handles.hold_targets(&poses.0, &handle_system.setup().handles, body, rest);
+        handle_system.set_targets(body, &targets, state, exec)?;
         let mut found = None;
         if !free.is_empty() {
             exec.progress.begin_pass("turn");

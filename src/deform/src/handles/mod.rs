@@ -5,8 +5,10 @@ pub(super) mod motion;
 pub(super) mod ownership;
 pub(super) mod stiff;
 pub(super) mod system;
+pub(super) mod targets;
 
 pub use free_parts::FreePartPolicy;
 pub use motion::{HandleMotion, HandleShares, carry, shares_difference};
 pub use ownership::{HandleConstraint, HandleSetup, NodeOwnership, StiffNodes, UNHELD};
 pub use system::HandleSystem;
+pub use targets::HoldTargets;

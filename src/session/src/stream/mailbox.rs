@@ -6,10 +6,12 @@
 //! frames. One short lock guards the state; it is never held while anything waits or computes.
 
 use crate::answers::StreamAnswer;
+use crate::capacity::memory_ledger::MemoryReservation;
 use crate::config::SessionConfig;
 use crate::error::{Error, ErrorCode};
 use crate::metrics::Metrics;
 use crate::stream::frame_window::FrameWindow;
+use crate::stream::target_parts::{WAITING_PARTS, drop_replaced, stays_apart, target_bytes};
 use pliant_core::engine::HandlePose;
 use pliant_exec::progress::CancelFlag;
 use pliant_wire::frames::Frame;
@@ -43,16 +45,19 @@ pub(crate) struct Mailbox {
     metrics: Arc<Metrics>,
     max_commits: usize,
     max_entries: usize,
+    /// Of targets that wait or are dragged.
+    held: MemoryReservation,
 }
 
 impl Mailbox {
-    /// On a session, opened by `who`.
+    /// On a session, opened by `who`; `held` is for the bytes of targets.
     pub fn new(
         session: &str,
         who: &Arc<str>,
         config: &SessionConfig,
         metrics: Arc<Metrics>,
         task: Arc<Notify>,
+        held: MemoryReservation,
     ) -> Self {
         let settings = DeformOptions::with_defaults(config.window);
         Self {
@@ -66,6 +71,7 @@ impl Mailbox {
             metrics,
             max_commits: config.stream_commits,
             max_entries: config.handles,
+            held,
         }
     }
 
@@ -107,6 +113,7 @@ impl Mailbox {
             StreamRequest::Pose {
                 seq,
                 commit,
+                more,
                 key,
                 entries,
             } => {
@@ -118,20 +125,39 @@ impl Mailbox {
                         seq,
                         entries,
                         commit,
+                        more,
                         key,
                         settings,
                         poses: 1,
                     });
-                match pose {
-                    Ok(pose) => {
-                        state.waiting.push_back(pose);
-                        merge_waiting_drags(&mut state.waiting, self.max_entries);
-                        self.task.notify_one();
-                    }
+                match pose.and_then(|pose| self.add_pose(&mut state, pose)) {
+                    Ok(()) => self.task.notify_one(),
                     Err(error) => self.refuse_pose(&mut state, seq, error),
                 }
             }
         }
+        Ok(())
+    }
+
+    /// Has a pose wait, if there is room for its targets.
+    fn add_pose(&self, state: &mut StreamState, pose: WaitingPose) -> Result<(), Error> {
+        drop_replaced(&mut state.waiting, &pose);
+        if stays_apart(&pose) {
+            if state.waiting.iter().filter(|w| stays_apart(w)).count() >= WAITING_PARTS {
+                let text = format!("{WAITING_PARTS} parts of poses wait on this stream already; wait for a frame");
+                return Err(Error::exhausted(text, 1));
+            }
+            state.waiting.push_back(pose);
+            let bytes = target_bytes(&state.waiting, &state.dragged);
+            if let Err(shortage) = self.held.grow_to(bytes) {
+                state.waiting.pop_back();
+                let text = format!("the targets that wait would need {bytes} bytes of memory, and {shortage}");
+                return Err(Error::exhausted(text, 1));
+            }
+            return Ok(());
+        }
+        state.waiting.push_back(pose);
+        merge_waiting_drags(&mut state.waiting, self.max_entries);
         Ok(())
     }
 
@@ -254,7 +280,7 @@ impl Mailbox {
 
     /// Whether a newer pose waits.
     pub fn has_newer_pose(&self) -> bool {
-        !self.lock_state().waiting.is_empty()
+        self.lock_state().waiting.iter().any(|w| !w.more)
     }
 
     /// Whether an intermediate frame may be sent. The last place in the window is kept for the final frame.
@@ -290,6 +316,8 @@ impl Mailbox {
         let mut state = self.lock_state();
         state.running = false;
         state.dragged = dragged;
+        // They are few beside those of the session; what is short shows at the next pose.
+        let _ = self.held.resize(target_bytes(&state.waiting, &state.dragged));
         if state.ended.is_none()
             && let Some(mut frame) = frame
         {
@@ -411,13 +439,14 @@ impl StreamState {
         match to_commit {
             _ if self.running || self.ended.is_some() => 0,
             Some(upto) if self.leaving || !is_blocked => upto,
-            None if !is_blocked => self.waiting.len(),
+            // Parts wait for the pose that they are of.
+            None if !is_blocked => self.waiting.iter().rposition(|w| !w.more).map_or(0, |at| at + 1),
             _ => 0,
         }
     }
 
     pub fn is_idle(&self) -> bool {
-        !self.running && self.waiting.is_empty() && self.held.is_none()
+        !self.running && self.waiting.iter().all(|w| w.more) && self.held.is_none()
     }
 
     pub fn end(&mut self, error: Option<Error>) {
@@ -445,6 +474,8 @@ pub(crate) struct WaitingPose {
     pub seq: u64,
     pub entries: PoseEntries,
     pub commit: bool,
+    /// A part of the next pose.
+    pub more: bool,
     /// Of a commit that may be sent again.
     pub key: Option<PoseKey>,
     /// The options in force when it came.
@@ -463,7 +494,8 @@ pub(crate) fn merge_waiting_drags(waiting: &mut VecDeque<WaitingPose>, max_entri
             return;
         }
         let mut pairs = waiting.iter().zip(waiting.iter().skip(1));
-        let Some(at) = pairs.position(|(a, b)| !a.commit && !b.commit) else {
+        let may_merge = |pose: &WaitingPose| !pose.commit && !stays_apart(pose);
+        let Some(at) = pairs.position(|(a, b)| may_merge(a) && may_merge(b)) else {
             return;
         };
         let Some(old) = waiting.remove(at) else { return };

@@ -1,19 +1,23 @@
 //! The state of a stream, driven without a session: whatever the order of events, its counts balance and it stays bounded.
 
 use super::*;
+use crate::capacity::memory_ledger::MemoryLedger;
+use crate::capacity::memory_use::MemoryUse;
 use glam::DVec3;
 use pliant_core::engine::HandlePose;
 use pliant_wire::pb;
 use proptest::prelude::*;
 
 fn mailbox(config: &SessionConfig) -> Mailbox {
-    Mailbox::new("here", &"anyone".into(), config, Arc::default(), Arc::default())
+    let held = MemoryLedger::new(1 << 20, Arc::default()).reserve_later(MemoryUse::Sessions, None);
+    Mailbox::new("here", &"anyone".into(), config, Arc::default(), Arc::default(), held)
 }
 
 fn posed(seq: u64, entries: PoseEntries, commit: bool) -> StreamRequest {
     StreamRequest::Pose {
         seq,
         commit,
+        more: false,
         key: None,
         entries: Ok(entries),
     }
@@ -212,6 +216,7 @@ fn what_waits_is_bounded_whatever_is_sent() {
     let large = StreamRequest::Pose {
         seq: 3000,
         commit: false,
+        more: false,
         key: None,
         entries: Err(WireError::invalid("pose.handles", "too many")),
     };
