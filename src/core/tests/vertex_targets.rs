@@ -234,7 +234,7 @@ fn moved_targets_move_the_shape_for_any_order_of_handles_and_number_of_threads()
     let (there, _) = solved(way, 2, false);
     let back: Vec<DVec3> = there.iter().map(|p| *p - way).collect();
     let off = farthest(&back, &here) / diagonal;
-    // Targets are told in single precision.
+    // Targets are in single precision.
     assert!(off < 2e-6, "off by {off} of the diagonal");
 }
 

@@ -8,7 +8,7 @@ use pliant::wire::frames::{FrameOutput, encode};
 use pliant::wire::{DeformOptions, PoseCommit, StreamRequest, pb};
 
 /// An upright bar of square section, closed, with the handles `base` (held) and `top`.
-fn bar() -> FileSet {
+pub fn bar_files() -> FileSet {
     let mut text = String::new();
     let (rings, corners) = (12, [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]);
     for k in 0..=rings {
@@ -45,7 +45,7 @@ pub async fn bent(config: SessionConfig) -> Fixture {
 
 /// As [`bent`], in a manager that there is.
 pub async fn bent_in(manager: &Manager) -> Fixture {
-    let made = manager.create(tenant(), bar(), options(), None).await;
+    let made = manager.create(tenant(), bar_files(), options(), None).await;
     let (manager, id) = (manager.clone(), made.expect("a bar").value.id);
     let fixture = Fixture { manager, id };
     let handles = HandleSet::from([
@@ -91,7 +91,7 @@ async fn commits_undo_and_replay_to_the_bit() {
             "{session:?}"
         );
         let rest = fixture.export(None).await.written.main;
-        assert_eq!(rest, bar().main, "an undeformed model is written byte for byte");
+        assert_eq!(rest, bar_files().main, "an undeformed model is written byte for byte");
         let first = fixture.solve(turned(1.0)).await;
         assert_ne!(fixture.export(None).await.written.main, rest);
         let second = fixture.solve(turned(-0.5)).await;

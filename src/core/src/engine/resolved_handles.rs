@@ -9,7 +9,7 @@ use super::region_context::{
 };
 use super::shape::FoundTurn;
 use super::stiff::{stiff_nodes, stiff_vertices};
-use super::vertex_targets::{TargetVertices, check_targets_alone};
+use super::target_vertices::{TargetVertices, check_targets_alone};
 use crate::deform::{DeformableBody, FreePartPolicy, HandleConstraint, HandleSetup, StiffNodes, Transform};
 use crate::exec::Exec;
 use crate::mesh::NONE;

@@ -58,6 +58,15 @@ impl Deformer {
             .ok_or_else(|| Error::Precondition("no handles are set; set them before deforming".into()))
     }
 
+    /// Refuses a method that the handles in force do not go with.
+    fn check_method(&self, settings: &SolveSettings) -> Result<(), Error> {
+        if settings.method == Method::SpatialRbf && self.handles().handles.iter().any(|h| h.targets.is_some()) {
+            let problem = "is SPATIAL_RBF, which cannot do with handles that have targets; GRAPH is allowed";
+            return Err(Error::invalid("options.method", problem));
+        }
+        Ok(())
+    }
+
     /// The transforms of the system's handles for poses by handle, in model space. A free rotation is where the search for it
     /// begins; [`Deformer::transforms_in`] has those that were found.
     ///
@@ -109,6 +118,7 @@ impl Deformer {
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
     ) -> Result<ModelShape, Error> {
         let mut transforms = self.transforms(poses)?;
+        self.check_method(settings)?;
         let free = self.handles.turning_freely(&poses.0);
         self.derived.bind_riders(&self.room_limits(), exec)?;
         let Self {

@@ -3,6 +3,7 @@
 pub(super) mod free_parts;
 pub(super) mod motion;
 pub(super) mod ownership;
+pub(super) mod pulled_places;
 pub(super) mod stiff;
 pub(super) mod system;
 pub(super) mod targets;
@@ -10,5 +11,5 @@ pub(super) mod targets;
 pub use free_parts::FreePartPolicy;
 pub use motion::{HandleMotion, HandleShares, carry, shares_difference};
 pub use ownership::{HandleConstraint, HandleSetup, NodeOwnership, StiffNodes, UNHELD};
+pub use pulled_places::HoldTargets;
 pub use system::HandleSystem;
-pub use targets::HoldTargets;

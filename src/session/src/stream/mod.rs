@@ -6,4 +6,4 @@
 pub(super) mod ends;
 pub(super) mod frame_window;
 pub(super) mod mailbox;
-pub(crate) mod target_parts;
+pub(crate) mod waiting_poses;

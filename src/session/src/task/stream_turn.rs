@@ -12,7 +12,7 @@ use crate::history::loaded_deformer::{LoadedDeformer, PoseAnswer};
 use crate::history::session_state::{PosedState, SessionState};
 use crate::stream::frame_window::{FrameContext, ms_of};
 use crate::stream::mailbox::Mailbox;
-use crate::stream::mailbox::{DraggedPoses, PoseEntries, WaitingPose};
+use crate::stream::waiting_poses::{DraggedPoses, PoseEntries, WaitingPose};
 use crate::task::commands::lane_of_commit;
 use crate::task::session_task::{SessionTask, no_handles};
 use pliant_core::engine::{self, HandlePose, HandlePoses, Quality, SolveMode, SolveUpdate, TopologyState};
