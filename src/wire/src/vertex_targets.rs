@@ -71,3 +71,54 @@ pub(super) fn vertex_targets_message(targets: &VertexTargets) -> pb::VertexTarge
         first: targets.first,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn floats(numbers: &[f32]) -> Bytes {
+        let bytes: Vec<u8> = numbers.iter().flat_map(|v| v.to_le_bytes()).collect();
+        bytes.into()
+    }
+
+    #[test]
+    fn wrong_targets_are_refused_with_their_field() {
+        let refused = |positions: Bytes, weights: Bytes, field: &str| {
+            let message = pb::VertexTargets {
+                positions,
+                weights,
+                first: None,
+            };
+            match vertex_targets(&message, "t") {
+                Err(Error::Invalid { field: f, .. }) => assert_eq!(f, field),
+                other => panic!("{field}: {other:?}"),
+            }
+        };
+        let (none, two) = (Bytes::new(), floats(&[0.0; 6]));
+        refused(none.clone(), none.clone(), "t");
+        refused(vec![0; 13].into(), none.clone(), "t.positions");
+        refused(none.clone(), vec![0; 3].into(), "t.weights");
+        refused(two.clone(), floats(&[1.0]), "t.weights");
+        refused(
+            floats(&[0.0, 0.0, 0.0, 0.0, f32::NAN, 0.0]),
+            none.clone(),
+            "t.positions[4]",
+        );
+        refused(two.clone(), floats(&[1.0, -1.0]), "t.weights[1]");
+        refused(two.clone(), floats(&[f32::INFINITY, 1.0]), "t.weights[0]");
+        refused(none, floats(&[f32::NAN]), "t.weights[0]");
+    }
+
+    #[test]
+    fn targets_come_back_as_they_were_written() {
+        let targets = VertexTargets {
+            first: Some(7),
+            positions: vec![[1.5, -0.0, 3.0e38], [0.1, 0.2, 0.3]],
+            weights: vec![0.0, 0.3],
+        };
+        assert_eq!(
+            vertex_targets(&vertex_targets_message(&targets), "t").as_ref(),
+            Ok(&targets)
+        );
+    }
+}

@@ -3,7 +3,8 @@
 use super::fake::*;
 use super::real::{bar_files, bent_in};
 use pliant::engine::{Handle, HandlePose, HandleSet, Region, VertexTargets};
-use pliant::session::{Manager, OpenDeformer, SessionConfig, StoreLocation};
+use pliant::session::store::StoreLocation;
+use pliant::session::{Manager, OpenDeformer, SessionConfig};
 use pliant::wire::{PoseCommit, StreamRequest};
 use std::path::Path;
 use std::sync::Arc;
