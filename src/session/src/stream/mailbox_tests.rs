@@ -3,6 +3,7 @@
 use super::*;
 use crate::capacity::memory_ledger::MemoryLedger;
 use crate::capacity::memory_use::MemoryUse;
+use crate::stream::waiting_poses::WAITING_DRAGS;
 use glam::DVec3;
 use pliant_core::engine::{HandlePose, VertexTargets};
 use pliant_wire::pb;
