@@ -194,7 +194,7 @@ pub enum StreamRequest {
         seq: u64,
         /// Whether it is to be committed.
         commit: bool,
-        /// Whether it is a part of the next pose, and not solved by itself.
+        /// Whether it is a part of the next pose, and not solved alone.
         more: bool,
         /// Identifies a commit that is sent again.
         key: Option<PoseKey>,

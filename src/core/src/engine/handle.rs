@@ -272,7 +272,7 @@ pub struct HandlePose {
     /// The point that it is turned and scaled about; `None`: [`HandleFacts::pivot`](super::HandleFacts::pivot), the joint between
     /// the region and what is free.
     pub pivot: Option<DVec3>,
-    /// Of a handle with targets, and all that it takes: where its vertices are wanted. `None`: at rest, with weights of 1.
+    /// Of a handle with targets, and all that it takes: where its vertices are wanted. `None`: in the rest pose, with weights of 1.
     pub targets: Option<Arc<VertexTargets>>,
 }
 

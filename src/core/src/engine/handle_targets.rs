@@ -83,7 +83,7 @@ impl ResolvedHandles {
         })
     }
 
-    /// What the holds with targets are to do for poses by handle: at rest without any.
+    /// What the holds with targets are to do for poses by handle: in the rest pose without any.
     pub fn hold_targets(
         &self,
         poses: &[HandlePose],

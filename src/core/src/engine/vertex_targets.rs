@@ -22,7 +22,7 @@ pub struct VertexTargets {
     /// `None`: the lists have an entry for each vertex of the handle, in the order of the model's vertices. Else they are of some
     /// of them, from this one of the handle on; the others keep what they have.
     pub first: Option<u32>,
-    /// The places, model space. Empty: as before, which is at rest to begin with.
+    /// The places, model space. Empty: as before, which is in the rest pose to begin with.
     pub positions: Vec<[f32; 3]>,
     /// What each of them weighs, 0 or more: a factor of the stiffness. Empty: as before, which is 1 to begin with.
     pub weights: Vec<f32>,

@@ -22,7 +22,7 @@ pub(crate) struct PulledPlaces {
     places: Vec<DVec3>,
     /// By hold, whether it has targets.
     has_targets: Vec<bool>,
-    /// By component of the graph, whether a pull wants it elsewhere than at rest.
+    /// By component of the graph, whether a pull wants it elsewhere than in the rest pose.
     moved: Vec<bool>,
 }
 
@@ -64,7 +64,7 @@ impl PulledPlaces {
         }
     }
 
-    /// Marks the components in which a pull wants a node elsewhere than at rest.
+    /// Marks the components in which a pull wants a node elsewhere than in the rest pose.
     pub fn mark_moved(&self, moved: &mut [bool]) {
         moved.iter_mut().zip(&self.moved).for_each(|(all, own)| *all |= own);
     }
