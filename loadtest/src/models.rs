@@ -93,7 +93,7 @@ impl DragScene {
             seq,
             handles: vec![entry],
             commit: false,
-            idempotency_key: String::new(),
+            ..pb::Pose::default()
         }
     }
 }

@@ -81,8 +81,8 @@ fn an_end_dragged_aside_bends_the_bar_into_an_arc() {
     let radius = reach / FRAC_PI_2;
     let by = DVec3::new(radius, 0.0, radius - reach);
     let pose = UPRIGHT.dragged(by).about([0.5, 0.5, LENGTH - 0.5]);
-    let shape = commit(&mut deformer, pose, &pool);
-    let turned = angle(&deformer, pose, &shape);
+    let shape = commit(&mut deformer, pose.clone(), &pool);
+    let turned = angle(&deformer, pose.clone(), &shape);
     assert!((turned - FRAC_PI_2).abs() < 0.12, "turned by {turned}");
     let quality = deformer.quality(&shape, &pool);
     let unturned = HandlePose::translation(by).about([0.5, 0.5, LENGTH - 0.5]);

@@ -48,7 +48,7 @@ fn bent() -> HandlePose {
 fn commit(deformer: &mut Deformer, pose: HandlePose, pool: &Pool) -> Vec<DVec3> {
     let exec = Exec::new(pool, &Silent);
     let shape = deformer
-        .commit([("high", pose)], &SolveSettings::default(), &exec)
+        .commit([("high", pose.clone())], &SolveSettings::default(), &exec)
         .unwrap();
     shape.positions.to_vec()
 }
@@ -103,9 +103,9 @@ fn nothing_pulls_at_a_stiff_part() {
     deformer.set_handles(set, &exec).unwrap();
     // One handle takes all along, wherever it goes.
     let pose = HandlePose::translation([3.0, -1.0, 2.0]).rotated([0.4, 1.0, -2.0]);
-    let shape = commit(&mut deformer, pose, &pool);
+    let shape = commit(&mut deformer, pose.clone(), &pool);
     let poses = deformer
-        .change_poses(&deformer.initial_poses(), [("high", pose)])
+        .change_poses(&deformer.initial_poses(), [("high", pose.clone())])
         .unwrap();
     let map = deformer.transforms(&poses).unwrap()[0].map();
     let wanted: Vec<DVec3> = deformer.rest().iter().map(|p| map(*p)).collect();
@@ -179,11 +179,11 @@ fn a_ring_around_a_hole_stays_a_ring_while_the_plate_bends_and_a_drag_shows_it()
     };
     deformer.set_handles(set, &exec).unwrap();
     let pose = HandlePose::rotation([-1.2, 0.0, 0.0]).about([2.0, 0.15, 7.0]);
-    let shape = commit(&mut deformer, pose, &pool);
+    let shape = commit(&mut deformer, pose.clone(), &pool);
     let off = off_rigid(&deformer, &shape, &pool);
     assert!(off < 1e-9, "{off}");
     let poses = deformer
-        .change_poses(&deformer.initial_poses(), [("high", pose)])
+        .change_poses(&deformer.initial_poses(), [("high", pose.clone())])
         .unwrap();
     let shown = deformer
         .solve(&poses, &SolveSettings::default(), SolveMode::Drag, &exec, &mut |_| true)
@@ -194,7 +194,7 @@ fn a_ring_around_a_hole_stays_a_ring_while_the_plate_bends_and_a_drag_shows_it()
     let mut set = deformer.handles().clone();
     set.stiff.as_mut().unwrap().strength = 0.5;
     deformer.set_handles(set, &exec).unwrap();
-    let halfway = commit(&mut deformer, pose, &pool);
+    let halfway = commit(&mut deformer, pose.clone(), &pool);
     let bends = off_rigid(&deformer, &halfway, &pool);
     assert!(bends > 1e-3, "{bends}");
 }

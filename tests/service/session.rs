@@ -11,3 +11,4 @@ mod limits;
 mod real;
 mod store_faults;
 mod stream;
+mod targets;

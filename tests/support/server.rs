@@ -442,7 +442,7 @@ pub fn turned(seq: u64, angle: f64, commit: bool) -> pb::Pose {
             pose: Some(pose),
         }],
         commit,
-        idempotency_key: String::new(),
+        ..pb::Pose::default()
     }
 }
 

@@ -121,8 +121,8 @@ fn a_passenger_changes_nothing_for_the_body_and_goes_where_it_goes() {
         hold_ends(d, &exec);
     }
     let settings = SolveSettings::default();
-    let expected = alone.commit(pose, &settings, &exec).expect("solved");
-    let solved = deformer.commit(pose, &settings, &exec).expect("solved");
+    let expected = alone.commit(pose.clone(), &settings, &exec).expect("solved");
+    let solved = deformer.commit(pose.clone(), &settings, &exec).expect("solved");
     let body = bar.0.len();
     assert_eq!(
         solved.positions[..body],
@@ -160,7 +160,7 @@ fn a_passenger_changes_nothing_for_the_body_and_goes_where_it_goes() {
     let mut again = open(both(), &by_name, &exec).expect("opened");
     hold_ends(&mut again, &exec);
     assert_eq!(
-        again.commit(pose, &settings, &exec).expect("solved").positions,
+        again.commit(pose.clone(), &settings, &exec).expect("solved").positions,
         solved.positions
     );
 }
@@ -510,7 +510,7 @@ fn vertices_in_no_face_go_with_the_surface_around_them() {
 
     let mut deformer = open(bar_with_loose(&loose), &OpenOptions::default(), &exec).expect("a bar");
     hold_ends(&mut deformer, &exec);
-    let solved = deformer.commit(pose, &settings, &exec).expect("solved");
+    let solved = deformer.commit(pose.clone(), &settings, &exec).expect("solved");
     let rest: Vec<DVec3> = deformer.rest()[body.len()..].to_vec();
     let carried = deformer.carry_points(&solved.positions, &rest, &exec).expect("carried");
     for i in 0..31 {
@@ -533,7 +533,7 @@ fn vertices_in_no_face_go_with_the_surface_around_them() {
     };
     let mut deformer = open(bar_with_loose(&loose), &before, &exec).expect("a bar");
     hold_ends(&mut deformer, &exec);
-    let solved = deformer.commit(pose, &settings, &exec).expect("solved");
+    let solved = deformer.commit(pose.clone(), &settings, &exec).expect("solved");
     let moved = |i: usize| solved.positions[body.len() + i] != loose[i];
     assert!((0..28).all(|i| !moved(i)) && (29..31).all(moved));
 }

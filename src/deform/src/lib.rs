@@ -83,8 +83,8 @@ pub use first_pass::{LocalFrame, LocalRotation, PoseBlend, frames, pack_rotation
 pub use fold_suspects::RestFaces;
 pub use folds::{FaceChanges, FaceSurroundings, unfold_faces, unfold_suspects};
 pub use handles::{
-    FreePartPolicy, HandleConstraint, HandleMotion, HandleSetup, HandleShares, HandleSystem, NodeOwnership, StiffNodes,
-    UNHELD, carry, shares_difference,
+    FreePartPolicy, HandleConstraint, HandleMotion, HandleSetup, HandleShares, HandleSystem, HoldTargets,
+    NodeOwnership, StiffNodes, UNHELD, carry, shares_difference,
 };
 pub use pose::{
     FirstPass, FitOrder, PoseRequest, PoseStats, Quality, SolutionExtent, SolveStart, SolveUpdate, SolvedNodes,

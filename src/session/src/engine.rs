@@ -114,7 +114,11 @@ impl Engine for Deformer {
     }
 
     fn change_poses(&self, poses: &HandlePoses, changes: &[(String, HandlePose)]) -> Result<HandlePoses, Error> {
-        Self::change_poses(self, poses, changes.iter().map(|(id, pose)| (id.as_str(), *pose)))
+        Self::change_poses(
+            self,
+            poses,
+            changes.iter().map(|(id, pose)| (id.as_str(), pose.clone())),
+        )
     }
 
     fn solve(

@@ -30,6 +30,10 @@ pub fn pose_commit(request: &pb::SolveRequest, max_window: u32) -> Result<PoseCo
         let problem = "is for commits on a stream; give this call the header idempotency-key";
         return Err(Error::invalid("pose.idempotencyKey", problem));
     }
+    if pose.is_some_and(|p| p.more) {
+        let problem = "is for poses on a stream; a call has the whole pose";
+        return Err(Error::invalid("pose.more", problem));
+    }
     Ok(PoseCommit {
         seq: pose.map_or(0, |p| p.seq),
         changes: pose.map_or_else(|| Ok(Vec::new()), pose_changes)?,

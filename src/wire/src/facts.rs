@@ -72,10 +72,14 @@ pub fn origin_of(session: &pb::Session) -> DVec3 {
     }
 }
 
-/// Adds poses to the handles of a session; one in the rest pose has none.
+/// Adds poses to the handles of a session; one in the rest pose has none. Targets, which may be millions, are left out.
 pub fn handle_poses_message(handles: &mut [pb::HandleFacts], poses: &HandlePoses) {
     for (handle, pose) in handles.iter_mut().zip(poses.0.iter()) {
-        handle.pose = (*pose != HandlePose::default()).then(|| handle_pose_message(pose));
+        let pose = HandlePose {
+            targets: None,
+            ..pose.clone()
+        };
+        handle.pose = (pose != HandlePose::default()).then(|| handle_pose_message(&pose));
     }
 }
 

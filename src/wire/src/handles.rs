@@ -8,7 +8,7 @@ use super::{Error, pb};
 use glam::DVec3;
 use pliant_core::engine::{
     DefaultPivot, Falloff, FalloffCurve, Handle, HandleConstrains, HandlePose, HandleSet, MOST_TUBE_POINTS, Plane,
-    Region, Stiff, VertexRange,
+    Region, Stiff, StiffnessPer, VertexRange,
 };
 use std::collections::BTreeSet;
 
@@ -100,12 +100,36 @@ fn handle(handle: &pb::Handle, field: &str) -> Result<Handle, Error> {
     Ok(Handle {
         id: handle.id.clone(),
         region,
-        constrains: handle_constrains(&handle.constrains, &format!("{field}.constrains"))?,
+        constrains: match (&handle.targets, &handle.constrains[..]) {
+            (Some(_), []) => POSITION_ALONE,
+            (_, named) => handle_constrains(named, &format!("{field}.constrains"))?,
+        },
         stiffness: handle_stiffness(handle.stiffness, &format!("{field}.stiffness"))?,
         rigid: handle.rigid,
         pose,
         falloff: handle_falloff(handle.falloff.as_ref(), &format!("{field}.falloff"))?,
+        targets: handle_targets(handle.targets.as_ref(), &format!("{field}.targets"))?,
     })
+}
+
+/// What a handle with targets fixes that names nothing.
+const POSITION_ALONE: HandleConstrains = HandleConstrains {
+    position: true,
+    rotation: false,
+    scale: false,
+};
+
+/// Reads whether a handle has targets, and what its stiffness is for then.
+fn handle_targets(targets: Option<&pb::handle::Targets>, field: &str) -> Result<Option<StiffnessPer>, Error> {
+    let per = |targets: &pb::handle::Targets| {
+        Ok(
+            match enumerated(targets.stiffness_per, &format!("{field}.stiffnessPer"))? {
+                pb::handle::targets::StiffnessPer::Vertex => StiffnessPer::Vertex,
+                pb::handle::targets::StiffnessPer::Area => StiffnessPer::Area,
+            },
+        )
+    };
+    targets.map(per).transpose()
 }
 
 /// Refuses the id of a handle that is empty or too long.
@@ -263,6 +287,12 @@ fn handle_message(handle: &Handle) -> pb::Handle {
                 FalloffCurve::Smooth => pb::falloff::Kind::Smooth.into(),
             },
         }),
+        targets: handle.targets.map(|per| pb::handle::Targets {
+            stiffness_per: match per {
+                StiffnessPer::Vertex => pb::handle::targets::StiffnessPer::Vertex.into(),
+                StiffnessPer::Area => pb::handle::targets::StiffnessPer::Area.into(),
+            },
+        }),
     }
 }
 
@@ -329,6 +359,8 @@ pub struct HandlePatch {
     pub pose: Option<Option<HandlePose>>,
     /// How it fades out; the inner `None` is not at all.
     pub falloff: Option<Option<Falloff>>,
+    /// Whether it has targets, and what its stiffness is for then; the inner `None` is none.
+    pub targets: Option<Option<StiffnessPer>>,
 }
 
 /// Reads the fields of `message` that `fields` names in JSON names. `current` are the handles in force: an error names the
@@ -346,6 +378,7 @@ pub fn handle_patch(message: &pb::Handle, fields: &[String], current: &HandleSet
         rigid,
         pose,
         falloff: new_falloff,
+        targets,
     } = message;
     let index = current.handles.iter().position(|h| h.id == *id);
     let old = index.and_then(|k| current.handles.get(k));
@@ -375,6 +408,12 @@ pub fn handle_patch(message: &pb::Handle, fields: &[String], current: &HandleSet
     if named("falloff") {
         patch.falloff = Some(handle_falloff(new_falloff.as_ref(), &at("falloff"))?);
     }
+    if named("targets") {
+        patch.targets = Some(handle_targets(targets.as_ref(), &at("targets"))?);
+        if targets.is_some() && (old.is_none() || named("constrains")) && new_constrains.is_empty() {
+            patch.constrains = Some(POSITION_ALONE);
+        }
+    }
     Ok(patch)
 }
 
@@ -390,6 +429,7 @@ impl HandlePatch {
             rigid,
             pose,
             falloff,
+            targets,
         } = self;
         if let Some(region) = region {
             handle.region = region;
@@ -397,8 +437,11 @@ impl HandlePatch {
         handle.constrains = constrains.unwrap_or(handle.constrains);
         handle.stiffness = stiffness.unwrap_or(handle.stiffness);
         handle.rigid = rigid.unwrap_or(handle.rigid);
-        handle.pose = pose.unwrap_or(handle.pose);
+        if let Some(pose) = pose {
+            handle.pose = pose;
+        }
         handle.falloff = falloff.unwrap_or(handle.falloff);
+        handle.targets = targets.unwrap_or(handle.targets);
     }
 }
 

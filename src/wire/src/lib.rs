@@ -22,6 +22,7 @@ pub mod pb;
 mod poses;
 pub mod record;
 mod rig;
+mod vertex_targets;
 
 pub use animate::{
     AnimateOrder, AnimationSummary, RootMotion, animate_options_from_json, animate_order, animation_totals,

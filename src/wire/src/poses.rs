@@ -2,11 +2,13 @@
 
 use super::check::vector;
 use super::options::DeformOptions;
+use super::vertex_targets::{vertex_targets, vertex_targets_message};
 use super::{Error, pb};
 use glam::{DQuat, DVec3};
 use pliant_core::engine::{Deformer, HandlePose, HandlePoses, HandleRotation, HandleScale};
 use prost::Message as _;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// Returns `poses` with those that a message names replaced.
 ///
@@ -14,7 +16,7 @@ use std::collections::BTreeMap;
 /// [`Error::Precondition`] without handles, [`Error::Invalid`] with the field.
 pub fn change_poses(deformer: &Deformer, poses: &HandlePoses, change: &pb::Pose) -> Result<HandlePoses, Error> {
     let changes = pose_changes(change)?;
-    deformer.change_poses(poses, changes.iter().map(|(id, pose)| (id.as_str(), *pose)))
+    deformer.change_poses(poses, changes.iter().map(|(id, pose)| (id.as_str(), pose.clone())))
 }
 
 /// Reads the poses that a message names, by handle.
@@ -110,6 +112,9 @@ pub fn handle_pose(pose: &pb::HandlePose, field: &str) -> Result<HandlePose, Err
         free_rotation: pose.free_rotation,
         scale: scale(&pose.scale, &format!("{field}.scale"))?,
         pivot,
+        targets: (pose.targets.as_ref())
+            .map(|targets| vertex_targets(targets, &format!("{field}.targets")).map(Arc::new))
+            .transpose()?,
     })
 }
 
@@ -132,6 +137,7 @@ pub fn handle_pose_message(pose: &HandlePose) -> pb::HandlePose {
         },
         pivot: vector(pose.pivot),
         free_rotation: pose.free_rotation,
+        targets: pose.targets.as_deref().map(vertex_targets_message),
     }
 }
 
@@ -188,6 +194,8 @@ pub enum StreamRequest {
         seq: u64,
         /// Whether it is to be committed.
         commit: bool,
+        /// Whether it is a part of the next pose, and not solved alone.
+        more: bool,
         /// Identifies a commit that is sent again.
         key: Option<PoseKey>,
         /// The handles that it names, each with its pose or what is wrong with that.
@@ -229,7 +237,13 @@ pub fn stream_request(request: &pb::DeformRequest, limits: StreamLimits) -> Opti
 }
 
 fn stream_pose(pose: &pb::Pose, limits: StreamLimits) -> StreamRequest {
-    let checked = check_pose_size(pose, limits.pose_entries).and_then(|()| pose_key(pose));
+    let checked = check_pose_size(pose, limits.pose_entries).and_then(|()| {
+        if pose.commit && pose.more {
+            let problem = "stands on a commit; the last part of a pose is the one that is committed";
+            return Err(Error::invalid("pose.more", problem));
+        }
+        pose_key(pose)
+    });
     let (entries, key) = match checked {
         Ok(key) => (Ok(pose_entries(pose)), key),
         Err(error) => (Err(error), None),
@@ -237,6 +251,7 @@ fn stream_pose(pose: &pb::Pose, limits: StreamLimits) -> StreamRequest {
     StreamRequest::Pose {
         seq: pose.seq,
         commit: pose.commit,
+        more: pose.more,
         key,
         entries,
     }
@@ -352,7 +367,7 @@ mod stream_tests {
             seq: 3,
             handles,
             commit: true,
-            idempotency_key: String::new(),
+            ..Default::default()
         };
         let request = pb::DeformRequest {
             session_id: String::new(),

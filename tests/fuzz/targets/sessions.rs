@@ -326,7 +326,7 @@ pub fn handles(bytes: &[u8]) {
     let commit = |deformer: &mut Deformer| {
         let known = deformer.handles().clone();
         let poses = poses.iter().filter(|(id, _)| known.handles.iter().any(|h| h.id == *id));
-        match deformer.commit(poses.map(|(id, pose)| (id.as_str(), *pose)), &settings, &exec) {
+        match deformer.commit(poses.map(|(id, pose)| (id.as_str(), pose.clone())), &settings, &exec) {
             Ok(shape) => {
                 assert!(shape.positions.iter().all(|p| p.is_finite()), "{set:?}: no number");
                 Some(digest(&shape.positions))

@@ -206,7 +206,7 @@ impl Engine for Fake {
     }
 
     fn initial_poses(&self) -> HandlePoses {
-        let poses = self.handles.handles.iter().map(|h| h.pose.unwrap_or_default());
+        let poses = self.handles.handles.iter().map(|h| h.pose.clone().unwrap_or_default());
         HandlePoses(Arc::new(poses.collect()))
     }
 
@@ -219,7 +219,7 @@ impl Engine for Fake {
                     format!("no handle {id}"),
                 ));
             };
-            all[at] = *pose;
+            all[at] = pose.clone();
         }
         Ok(HandlePoses(Arc::new(all)))
     }
@@ -527,6 +527,7 @@ pub fn posed(seq: u64, changes: Vec<(String, HandlePose)>, commit: bool) -> Stre
         _ => (id, Ok(pose)),
     };
     StreamRequest::Pose {
+        more: false,
         seq,
         commit,
         key: None,

@@ -8,7 +8,7 @@ use pliant::wire::frames::{FrameOutput, encode};
 use pliant::wire::{DeformOptions, PoseCommit, StreamRequest, pb};
 
 /// An upright bar of square section, closed, with the handles `base` (held) and `top`.
-fn bar() -> FileSet {
+pub fn bar_files() -> FileSet {
     let mut text = String::new();
     let (rings, corners) = (12, [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]);
     for k in 0..=rings {
@@ -45,7 +45,7 @@ pub async fn bent(config: SessionConfig) -> Fixture {
 
 /// As [`bent`], in a manager that there is.
 pub async fn bent_in(manager: &Manager) -> Fixture {
-    let made = manager.create(tenant(), bar(), options(), None).await;
+    let made = manager.create(tenant(), bar_files(), options(), None).await;
     let (manager, id) = (manager.clone(), made.expect("a bar").value.id);
     let fixture = Fixture { manager, id };
     let handles = HandleSet::from([
@@ -91,7 +91,7 @@ async fn commits_undo_and_replay_to_the_bit() {
             "{session:?}"
         );
         let rest = fixture.export(None).await.written.main;
-        assert_eq!(rest, bar().main, "an undeformed model is written byte for byte");
+        assert_eq!(rest, bar_files().main, "an undeformed model is written byte for byte");
         let first = fixture.solve(turned(1.0)).await;
         assert_ne!(fixture.export(None).await.written.main, rest);
         let second = fixture.solve(turned(-0.5)).await;
@@ -134,7 +134,7 @@ async fn a_set_that_is_sent_again_turns_nothing_that_it_does_not_name() {
     };
     let before = fixture.positions().await;
     // The ring lies where the top has turned about: the joint moves up. Then it is taken away, and the joint moves back.
-    for set in [vec![base(), top(turn), ring()], vec![base(), top(turn)]] {
+    for set in [vec![base(), top(turn.clone()), ring()], vec![base(), top(turn)]] {
         fixture.set_handles(HandleSet::from(set)).await;
         fixture.solve(still.clone()).await;
         assert_eq!(
@@ -158,7 +158,7 @@ async fn a_turn_that_was_found_is_told_and_a_commit_goes_on_from_that_of_the_dra
     let mut client = fixture.client().await;
     let mut dragged = Vec::new();
     for seq in 1..=8 {
-        client.push(posed(seq, vec![("top".into(), aside)], false));
+        client.push(posed(seq, vec![("top".into(), aside.clone())], false));
         dragged = client.frame().await.header.found_turns;
         client.ack(seq);
     }

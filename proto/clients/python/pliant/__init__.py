@@ -40,7 +40,7 @@ from .errors import (
 )
 from .frames import Frame, SolvedFrame
 from .player import Animation
-from .poses import Pose
+from .poses import Pose, Targets
 from .server import LocalServer
 from .session import Session
 from .stream import Stream
@@ -79,6 +79,7 @@ __all__ = [
     "Settings",
     "SolvedFrame",
     "Stream",
+    "Targets",
     "TooLarge",
     "Unauthenticated",
     "Unavailable",

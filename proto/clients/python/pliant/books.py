@@ -12,7 +12,7 @@ from typing import Any
 
 from . import errors
 from .frames import Assembler, Frame
-from .poses import Poses, entries, pose_message
+from .poses import Poses, entries, lay_on, pose_message
 from .v1 import pliant_pb2 as pb
 
 
@@ -221,12 +221,12 @@ class Traffic:
         """Where the stream has moved handles to."""
         merged = dict(self._settled)
         for named in self._pending.values():
-            merged.update(named)
+            lay_on(merged, named)
         return merged
 
     def _settle(self, seq: int) -> None:
         for number in [number for number in self._pending if number <= seq]:
-            self._settled.update(self._pending.pop(number))
+            lay_on(self._settled, self._pending.pop(number))
 
     def opening(self) -> list[pb.DeformRequest]:
         """The first messages of a connection."""
@@ -242,18 +242,20 @@ class Traffic:
         self._repeat = bool(self.poses)
         return first
 
-    def pose(self, poses: Poses) -> pb.DeformRequest:
-        """The next pose."""
+    def pose(self, poses: Poses, more: bool = False) -> pb.DeformRequest:
+        """The next pose, or a part of it."""
         named = as_entries(poses)
         self.seq += 1
         self._pending[self.seq] = named
         said, self._repeat = (self.poses if self._repeat else named), False
-        return pb.DeformRequest(pose=pose_message(said, self.seq))
+        message = pose_message(said, self.seq)
+        message.more = more
+        return pb.DeformRequest(pose=message)
 
     def absorb(self, poses: Poses | None) -> dict[str, pb.HandlePose]:
         """Where handles are with `poses`, which travel another way. The next pose on the stream repeats them."""
         self._settle(self.seq)
-        self._settled.update(as_entries(poses))
+        lay_on(self._settled, as_entries(poses))
         self._repeat = True
         return self.poses
 

@@ -80,13 +80,15 @@ class Declared:
         stiffness: float | None = None,
         rigid: bool = False,
         falloff: tuple[float, Literal["none", "linear", "smooth"]] | None = None,
+        targets: bool | Literal["vertex", "area"] = False,
         **region: Unpack[RegionFields],
     ) -> None:
         """Adds a handle, or replaces the one of that id.
 
         The region is one of ``vertices``, ``half_space``, ``sphere``, ``box``, ``capsule``, ``tube``, ``component``,
         ``primitive`` and ``weights``. Without a pose the handle is an anchor in the rest pose. Where regions overlap, the handle
-        that was added later wins.
+        that was added later wins. With ``targets`` every vertex has a target of its own, which :class:`pliant.Targets` in a pose
+        gives; the ``stiffness``, which it needs, is then per vertex or per area.
         """
         with about(f"handle {text('handle', id, 'an id, which is text,')!r}"):
             handle = regions.handle(
@@ -96,6 +98,7 @@ class Declared:
                 stiffness=stiffness,
                 rigid=rigid,
                 falloff=falloff,
+                targets=targets,
                 fields=region,
                 count=self.vertices,
             )

@@ -2,7 +2,7 @@
 
 A pose scales, then turns about the pivot, then moves. Wherever this package takes a pose it takes a :class:`Pose`, a
 dict of its fields, or a 4 by 4 matrix; wherever it takes the poses of several handles it takes a mapping from handle
-ids.
+ids. A handle with targets takes :class:`Targets` instead.
 """
 
 from __future__ import annotations
@@ -72,7 +72,42 @@ class Pose:
         return Pose(translation=matrix[:3, 3], rotation=_quaternion(turn), scale=scale, pivot=(0.0, 0.0, 0.0))
 
 
-PoseLike: TypeAlias = Union[Pose, PoseFields, "npt.NDArray[Any]", None]
+@dataclass(frozen=True)
+class Targets:
+    """Where the vertices of a handle with targets are wanted; it stands where a pose does. What is None stays as before."""
+
+    #: n by 3, in the order of the model's vertices.
+    positions: npt.ArrayLike | None = None
+    #: n factors of the stiffness, 0 or more; one number is for all.
+    weights: npt.ArrayLike | None = None
+    #: The first vertex of the handle that these are of; None: they are of all.
+    first: int | None = None
+
+    def to_message(self) -> pb.HandlePose:
+        """The targets as the schema carries them."""
+        message = pb.HandlePose()
+        message.targets.SetInParent()
+        count = None
+        if self.positions is not None:
+            positions = array("positions", self.positions).astype("<f4")
+            if positions.ndim != 2 or positions.shape[1] != 3:
+                raise ValueError(f"positions: an array of shape {positions.shape}, (n, 3) is allowed")
+            message.targets.positions = positions.tobytes()
+            count = len(positions)
+        if self.weights is not None:
+            weights = array("weights", self.weights).astype("<f4")
+            if weights.ndim == 0 and count is not None:
+                weights = np.full(count, weights, "<f4")
+            if weights.ndim != 1 or count not in (None, len(weights)):
+                allowed = "(n,)" if count is None else f"({count},)"
+                raise ValueError(f"weights: an array of shape {weights.shape}, {allowed} is allowed")
+            message.targets.weights = weights.tobytes()
+        if self.first is not None:
+            message.targets.first = self.first
+        return message
+
+
+PoseLike: TypeAlias = Union[Pose, Targets, PoseFields, "npt.NDArray[Any]", None]
 Poses: TypeAlias = Mapping[str, PoseLike]
 
 
@@ -105,6 +140,8 @@ def to_message(pose: PoseLike) -> pb.HandlePose:
     """A pose as the schema carries it; None is rest."""
     if pose is None:
         return pb.HandlePose()
+    if isinstance(pose, Targets):
+        return pose.to_message()
     if isinstance(pose, np.ndarray):
         pose = Pose.from_matrix(pose)
     if not isinstance(pose, Pose):
@@ -139,6 +176,30 @@ def entries(poses: Poses | Mapping[str, pb.HandlePose]) -> dict[str, pb.HandlePo
         with about(f"pose of {handle!r}"):
             found[handle] = pose if isinstance(pose, pb.HandlePose) else to_message(pose)
     return found
+
+
+def lay_on(poses: dict[str, pb.HandlePose], newer: Mapping[str, pb.HandlePose]) -> None:
+    """Puts newer poses in their places; what their targets leave out stays."""
+    for handle, pose in newer.items():
+        before = poses.get(handle)
+        if before is None or not pose.HasField("targets") or not before.HasField("targets"):
+            poses[handle] = pose
+            continue
+        whole = pb.HandlePose()
+        whole.CopyFrom(pose)
+        is_part = pose.targets.HasField("first") and not before.targets.HasField("first")
+        for name, size in (("positions", 12), ("weights", 4)):
+            old, new = getattr(before.targets, name), getattr(pose.targets, name)
+            at = size * pose.targets.first
+            if is_part and not old and name == "weights":
+                old = np.ones(len(before.targets.positions) // 12, "<f4").tobytes()
+            if not new:
+                setattr(whole.targets, name, old)
+            elif is_part and old:
+                setattr(whole.targets, name, old[:at] + new + old[at + len(new) :])
+        if is_part:
+            whole.targets.ClearField("first")
+        poses[handle] = whole
 
 
 def pose_message(by_handle: Mapping[str, pb.HandlePose], seq: int = 0) -> pb.Pose:

@@ -184,6 +184,7 @@ def handle(
     stiffness: float | None,
     rigid: bool,
     falloff: tuple[float, str] | None,
+    targets: bool | str,
     fields: RegionLike | Mapping[str, Any],
     count: int | None = None,
 ) -> pb.Handle:
@@ -201,6 +202,10 @@ def handle(
             raise TypeError(f"falloff: {seen(falloff)}, (radius, kind) is allowed")
         radius, kind = number("falloff's radius", falloff[0]), enum("falloff", pb.Falloff.Kind, falloff[1])
         message.falloff.CopyFrom(pb.Falloff(radius=radius, kind=kind))
+    if targets is not False:
+        per = "vertex" if targets is True else targets
+        message.targets.stiffness_per = enum("targets", pb.Handle.Targets.StiffnessPer, per)
+        message.targets.SetInParent()
     return message
 
 

@@ -15,7 +15,7 @@ from pliant import channel, edits, model, regions
 from pliant.books import Books, as_entries
 from pliant.declared import to_drag
 from pliant.options import create_options, options
-from pliant.poses import to_message
+from pliant.poses import entries, lay_on, to_message
 from pliant.v1 import pliant_pb2 as pb
 
 
@@ -418,3 +418,16 @@ def test_what_an_export_does_not_hold_is_a_warning_of_python() -> None:
     told = pb.Warning(code="left-out", message="the obj file has not: 1 skin", where="skins/0")
     with pytest.warns(UserWarning, match=r"left-out: the obj file has not: 1 skin \(skins/0\)"):
         model.warn_of([pb.Chunk(data=b"a", warnings=[told]), pb.Chunk(data=b"b")])
+
+
+def test_targets_are_laid_on_those_that_a_handle_has() -> None:
+    held = entries({"scan": pliant.Targets(np.arange(12).reshape(4, 3), [1, 2, 3, 4])})
+    lay_on(held, entries({"scan": pliant.Targets(np.zeros((1, 3)), first=2)}))
+    whole = held["scan"].targets
+    assert np.frombuffer(whole.positions, "<f4").tolist() == [0, 1, 2, 3, 4, 5, 0, 0, 0, 9, 10, 11]
+    assert np.frombuffer(whole.weights, "<f4").tolist() == [1, 2, 3, 4]
+    assert not whole.HasField("first")
+    with pytest.raises(ValueError, match="positions"):
+        entries({"scan": pliant.Targets([[1, 2]])})
+    with pytest.raises(ValueError, match="weights"):
+        entries({"scan": pliant.Targets(np.zeros((3, 3)), [1, 2])})

@@ -15,6 +15,31 @@ const COUNTS: Readonly<Record<string, readonly number[]>> = {
   pivot: [3],
 };
 
+/**
+ * The pose of a handle with targets: where its vertices are wanted, x, y, z of each in the order of the model's vertices, and factors of
+ * the stiffness. What is not given stays as before. With `first` they are of the vertices from that one of the handle on.
+ */
+export function targets(positions?: Float32Array, weights?: Float32Array, first?: number): VertexTargetsPose {
+  if (positions !== undefined && positions.length % 3 !== 0) {
+    throw new PliantError("INVALID_ARGUMENT", `targets: ${positions.length} numbers, 3 for each vertex are allowed`);
+  }
+  if (positions !== undefined && weights !== undefined && 3 * weights.length !== positions.length) {
+    throw new PliantError("INVALID_ARGUMENT", `targets: ${weights.length} weights, one for each of ${positions.length / 3} vertices is allowed`);
+  }
+  return { targets: { positions: littleEndian(positions), weights: littleEndian(weights), first } };
+}
+
+/** What `targets` makes. */
+export interface VertexTargetsPose {
+  targets: { positions: Uint8Array<ArrayBuffer>; weights: Uint8Array<ArrayBuffer>; first: number | undefined };
+}
+
+function littleEndian(numbers: Float32Array = new Float32Array()): Uint8Array<ArrayBuffer> {
+  const view = new DataView(new ArrayBuffer(4 * numbers.length));
+  numbers.forEach((value, k) => view.setFloat32(4 * k, value, true));
+  return new Uint8Array(view.buffer);
+}
+
 /** Refuses poses that no server could read. An empty list is a field that is not given. */
 export function checkPoses(entries: readonly unknown[]): void {
   for (const entry of entries) {
@@ -27,6 +52,10 @@ export function checkPoses(entries: readonly unknown[]): void {
     for (const [field, value] of Object.entries(pose as object)) {
       if (field.startsWith("$") || value === undefined) continue;
       if (!FIELDS.includes(field)) refuse(`: ${field} is not a field of it; allowed are ${FIELDS.join(", ")}`);
+      if (field === "targets") {
+        if (typeof value !== "object") refuse(`.targets is ${written(value)}, what targets() makes is allowed`);
+        continue;
+      }
       const counts = COUNTS[field];
       if (counts === undefined) {
         if (typeof value !== "boolean") refuse(`.${field} is ${written(value)}, true or false is allowed`);

@@ -455,7 +455,7 @@ impl Deformer {
                 .set
                 .handles
                 .iter()
-                .map(|h| h.pose.unwrap_or_default())
+                .map(|h| h.pose.clone().unwrap_or_default())
                 .collect(),
         ))
     }

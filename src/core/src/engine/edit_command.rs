@@ -409,9 +409,13 @@ pub(super) fn carry_handles(
             carried.warnings.push(lost_handle(k, &handle.id));
             continue;
         };
-        let pose = poses.and_then(|poses| poses.get(k)).map(|pose| HandlePose {
+        // Targets are of the vertices that were.
+        let kept = poses
+            .and_then(|poses| poses.get(k))
+            .filter(|_| handle.targets.is_none());
+        let pose = kept.map(|pose| HandlePose {
             pivot: pose.pivot.or(Some(held.pivots[k])),
-            ..*pose
+            ..pose.clone()
         });
         carried.set.handles.push(Handle {
             region,

@@ -1,5 +1,6 @@
 //! Handles as a program asks for them: which region they hold, what they fix of it and how hard, and where they are.
 
+use super::vertex_targets::{StiffnessPer, VertexTargets};
 use crate::deform::{Transform, exp_rotation, log_rotation};
 use glam::{DMat3, DQuat, DVec3};
 use std::sync::Arc;
@@ -27,6 +28,9 @@ pub struct Handle {
     pub pose: Option<HandlePose>,
     /// How a soft handle fades out around its region, and a hard one inside of it.
     pub falloff: Option<Falloff>,
+    /// Whether each vertex has a target of its own, which poses give ([`HandlePose::targets`]), and what the stiffness is for then.
+    /// Such a handle is soft and constrains positions alone.
+    pub targets: Option<StiffnessPer>,
 }
 
 /// What a handle fixes of its vertices.
@@ -158,6 +162,20 @@ impl Handle {
             rigid: false,
             pose: None,
             falloff: None,
+            targets: None,
+        }
+    }
+
+    /// Makes a handle whose vertices have targets, each pulled with a weight of `stiffness` edges.
+    pub fn with_targets(id: impl Into<String>, region: Region, stiffness: f64) -> Self {
+        Self {
+            constrains: HandleConstrains {
+                rotation: false,
+                scale: false,
+                ..HandleConstrains::ALL
+            },
+            targets: Some(StiffnessPer::Vertex),
+            ..Self::new(id, region).soft(stiffness)
         }
     }
 
@@ -181,7 +199,10 @@ impl HandleSet {
     pub fn byte_size(&self) -> usize {
         let handles = self.handles.iter();
         let regions: usize = handles
-            .map(|h| size_of::<Handle>() + h.id.len() + h.region.byte_size())
+            .map(|h| {
+                let targets = h.pose.as_ref().map_or(0, HandlePose::target_bytes);
+                size_of::<Handle>() + h.id.len() + h.region.byte_size() + targets
+            })
             .sum();
         let stiff = self.stiff.as_ref().map_or(0, Stiff::byte_size);
         regions + stiff + self.region_of_interest.as_ref().map_or(0, Region::byte_size)
@@ -237,7 +258,7 @@ impl From<&HandleSet> for HandleSet {
 /// let pose = HandlePose::translation([0.0, 1.0, 0.0]).rotated([0.0, 0.0, 1.57]);
 /// assert!(pose.moves() && !HandlePose::default().moves());
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct HandlePose {
     /// The way that the handle has moved, in model units.
     pub translation: Option<DVec3>,
@@ -251,6 +272,8 @@ pub struct HandlePose {
     /// The point that it is turned and scaled about; `None`: [`HandleFacts::pivot`](super::HandleFacts::pivot), the joint between
     /// the region and what is free.
     pub pivot: Option<DVec3>,
+    /// Of a handle with targets, and all that it takes: where its vertices are wanted. `None`: in the rest pose, with weights of 1.
+    pub targets: Option<Arc<VertexTargets>>,
 }
 
 /// How a handle is turned.
@@ -316,13 +339,26 @@ impl HandlePose {
         }
     }
 
-    /// Returns whether the pose may move anything. A pivot alone does not.
+    /// Makes the pose of a handle with targets.
+    pub fn targets(targets: VertexTargets) -> Self {
+        Self {
+            targets: Some(Arc::new(targets)),
+            ..Self::default()
+        }
+    }
+
+    /// Bytes of its targets.
+    pub fn target_bytes(&self) -> usize {
+        self.targets.as_ref().map_or(0, |targets| targets.byte_size())
+    }
+
+    /// Returns whether the pose may move anything as a whole. A pivot alone does not.
     pub fn moves(&self) -> bool {
         self.translation.is_some() || self.rotation.is_some() || self.scale.is_some()
     }
 
     /// Returns the pose as a transform; `joint` is the pivot when the pose names none.
-    pub(super) fn to_transform(self, joint: DVec3) -> Transform {
+    pub(super) fn to_transform(&self, joint: DVec3) -> Transform {
         let rotation = match self.rotation {
             Some(HandleRotation::Quaternion(q)) => log_rotation(q.normalize()),
             Some(HandleRotation::Vector(v)) => v,

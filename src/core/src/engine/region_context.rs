@@ -42,6 +42,17 @@ pub(super) struct RegionNodes {
     pub weights: Option<Vec<f64>>,
 }
 
+impl RegionNodes {
+    /// Leaves out the nodes inside.
+    pub fn keep_surface(&mut self, graph: &MeshGraph) {
+        let count = self.nodes.partition_point(|n| (*n as usize) < graph.surface);
+        self.nodes.truncate(count);
+        if let Some(weights) = &mut self.weights {
+            weights.truncate(count);
+        }
+    }
+}
+
 /// How a region gives its vertices.
 enum Membership<'a> {
     /// By number: the render vertices.

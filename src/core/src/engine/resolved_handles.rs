@@ -9,6 +9,7 @@ use super::region_context::{
 };
 use super::shape::FoundTurn;
 use super::stiff::{stiff_nodes, stiff_vertices};
+use super::target_vertices::{TargetVertices, check_targets_alone};
 use crate::deform::{DeformableBody, FreePartPolicy, HandleConstraint, HandleSetup, StiffNodes, Transform};
 use crate::exec::Exec;
 use crate::mesh::NONE;
@@ -43,6 +44,8 @@ pub(super) struct ResolvedHandles {
     pub counts: Vec<HeldCounts>,
     /// With a symmetry plane: the plane; hold `handles + k` is then the mirror image of handle k.
     pub mirror: Option<MirrorPlane>,
+    /// By handle, what it pulls where it has targets.
+    pub targets: Vec<Option<TargetVertices>>,
     /// Render vertices in no face that a hard handle holds, with its hold.
     pub unreferenced: Vec<(u32, u32)>,
     /// What the user should know.
@@ -72,9 +75,13 @@ pub(super) fn resolve_handles(
     let lists = differing_lists(&set.handles);
     for (k, handle) in set.handles.iter().enumerate() {
         admit(held_bytes)?;
+        check_targets_alone(&set, handle, &format!("handles[{k}]"))?;
         let in_region = |e: Error| e.below(&format!("handles[{k}].region"));
         let vertices = vertices_of_handle(context, &handle.region).map_err(in_region)?;
-        let held = nodes_in_region(context, graph, &handle.region, None).map_err(in_region)?;
+        let mut held = nodes_in_region(context, graph, &handle.region, None).map_err(in_region)?;
+        if handle.targets.is_some() {
+            held.keep_surface(graph);
+        }
         if held.nodes.is_empty() && !vertices.contains(&true) {
             return Err(in_region(holds_nothing(context)));
         }
@@ -88,7 +95,14 @@ pub(super) fn resolve_handles(
             check_free_rotation(handle, pose, &format!("handles[{k}].pose"))?;
         }
         let at = format!("handles[{k}]");
-        let hold = hold_nodes(body, handle, held, &at, context.exec)?;
+        let mut hold = hold_nodes(body, handle, held, &at, context.exec)?;
+        let targets = (handle.targets).map(|per| TargetVertices::of(context.mesh, &vertices, per, &mut hold.pulls));
+        if targets.is_some() {
+            // As in a falloff: they take no node from a hard handle.
+            hold.nodes = Vec::new();
+        }
+        held_bytes += targets.as_ref().map_or(0, |targets| targets.byte_size() as u64);
+        resolved.targets.push(targets);
         if hold.stiffness.is_none() && hold.position {
             unreferenced.extend(unreferenced_vertices(context, &vertices, k as u32));
         }
@@ -122,6 +136,9 @@ pub(super) fn resolve_handles(
     unreferenced.reverse();
     resolved.unreferenced = unreferenced;
     resolved.counts = count_held(context, body, &holds, set.handles.len(), &frozen);
+    for (count, targets) in resolved.counts.iter_mut().zip(&resolved.targets) {
+        count.vertices = targets.as_ref().map_or(count.vertices, TargetVertices::count);
+    }
     for (k, held) in resolved.counts.iter().enumerate() {
         if held.vertices + held.interior_nodes == 0 && !holds[k].nodes.is_empty() {
             let message = format!("handle \"{}\" holds nothing after overlaps", set.handles[k].id);
@@ -129,6 +146,7 @@ pub(super) fn resolve_handles(
         }
     }
     resolved.set = set;
+    resolved.complete_targets(context.positions)?;
     Ok((
         resolved,
         HandleSetup {

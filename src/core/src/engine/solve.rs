@@ -45,8 +45,9 @@ impl Deformer {
                 let problem = format!("no handle \"{id}\" is set, there are {}", ids.join(", "));
                 return Err(Error::invalid(format!("pose.handles[{k}].id"), problem));
             };
-            check_free_rotation(&handles[at], &pose, &format!("pose.handles[{k}].pose"))?;
-            all[at] = pose;
+            let field = format!("pose.handles[{k}].pose");
+            check_free_rotation(&handles[at], &pose, &field)?;
+            all[at] = (self.handles).with_targets(at, pose, Some(&all[at]), self.rest(), &field)?;
         }
         Ok(HandlePoses(Arc::new(all)))
     }
@@ -55,6 +56,15 @@ impl Deformer {
         self.handle_system
             .as_ref()
             .ok_or_else(|| Error::Precondition("no handles are set; set them before deforming".into()))
+    }
+
+    /// Refuses a method that the handles in force do not go with.
+    fn check_method(&self, settings: &SolveSettings) -> Result<(), Error> {
+        if settings.method == Method::SpatialRbf && self.handles().handles.iter().any(|h| h.targets.is_some()) {
+            let problem = "is SPATIAL_RBF, which cannot do with handles that have targets; GRAPH is allowed";
+            return Err(Error::invalid("options.method", problem));
+        }
+        Ok(())
     }
 
     /// The transforms of the system's handles for poses by handle, in model space. A free rotation is where the search for it
@@ -108,6 +118,7 @@ impl Deformer {
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
     ) -> Result<ModelShape, Error> {
         let mut transforms = self.transforms(poses)?;
+        self.check_method(settings)?;
         let free = self.handles.turning_freely(&poses.0);
         self.derived.bind_riders(&self.room_limits(), exec)?;
         let Self {
@@ -124,6 +135,9 @@ impl Deformer {
             return Err(Error::Internal("handles without a system".into()));
         };
         let body = &derived.body;
+        let rest = &derived.topology().rest;
+        let targets = handles.hold_targets(&poses.0, &handle_system.setup().handles, body, rest);
+        handle_system.set_targets(body, &targets, state, exec)?;
         let mut found = None;
         if !free.is_empty() {
             exec.progress.begin_pass("turn");

@@ -191,6 +191,7 @@ impl HandleSystem {
             let nodes = hold.nodes.iter().copied().chain(hold.pulls.iter().map(|p| p.0));
             nodes.for_each(|n| moved[body.graph.component[n as usize] as usize] = true);
         }
+        self.places.mark_moved(&mut moved);
         moved
     }
 

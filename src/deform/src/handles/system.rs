@@ -5,6 +5,7 @@ use crate::error::Error;
 use crate::fields::{HarmonicFields, SparseShares, solve_fields};
 use crate::handles::free_parts::FreeParts;
 use crate::handles::ownership::{HandleConstraint, HandleSetup, NodeOwnership, UNHELD};
+use crate::handles::pulled_places::PulledPlaces;
 use crate::handles::stiff::StiffParts;
 use crate::rotation::Transform;
 use glam::DVec3;
@@ -36,6 +37,8 @@ pub struct HandleSystem {
     pub(crate) parts: FreeParts,
     /// Parts that move as rigid bodies.
     pub(crate) stiff: StiffParts,
+    /// Where holds with targets want the nodes that they pull.
+    pub(crate) places: PulledPlaces,
     /// The fields that rotations are blended with, node by node; made when first asked for.
     sparse: OnceLock<SparseShares>,
     /// Iterations that the fields took, for reports.
@@ -61,11 +64,7 @@ impl HandleSystem {
         };
         let rotation = like(&position, &|h| h.rotation == h.position, |h| h.rotation);
         let scale = like(&rotation, &|h| h.scale == h.rotation, |h| h.scale);
-        let covered = position.covered(body);
-        if !covered.contains(&true) {
-            return Err(Error::NoPosition);
-        }
-        let parts = FreeParts::settle(body, &covered, setup.policy)?;
+        let (covered, parts) = settle_parts(body, &setup, &position)?;
 
         let holds = setup.handles.len();
         let (rotation_fields, system) = solve_fields(body, &rotation, holds, exec)?;
@@ -77,26 +76,13 @@ impl HandleSystem {
         };
         let field_iterations = rotation_fields.iterations + scale_fields.as_ref().map_or(0, |fields| fields.iterations);
 
-        exec.progress.report("constrain", 0.0);
-        let fixed: Vec<bool> = (0..nodes)
-            .map(|i| position.hard[i] != UNHELD || !covered[body.graph.component[i] as usize])
-            .collect();
-        let stiffness = position.stiffness();
         // What holds rotations mostly holds positions too, and then both have one system.
-        let positions = match system.filter(|_| position.same_as(&rotation)) {
-            Some(system) => ConstrainedSystem { fixed, system },
-            None => constrained(body, fixed, stiffness.as_deref(), exec.pool)?,
-        };
-        let loose: Vec<&HandleConstraint> = setup.handles.iter().filter(|h| h.is_loosely_rigid()).collect();
-        let stiff = StiffParts::settle(body, &setup.stiff, &position, &covered);
-        let rigid = if loose.is_empty() && stiff.is_empty() {
-            None
-        } else {
-            let mut fixed = positions.fixed.clone();
-            let held = loose.iter().flat_map(|h| &h.nodes);
-            held.chain(stiff.all_nodes()).for_each(|&n| fixed[n as usize] = true);
-            Some(constrained(body, fixed, stiffness.as_deref(), exec.pool)?)
-        };
+        let system = system.filter(|_| position.same_as(&rotation));
+        let PositionSystems {
+            positions,
+            rigid,
+            stiff,
+        } = PositionSystems::make(body, &setup, &position, &covered, system, exec)?;
         Ok(Self {
             setup,
             position,
@@ -108,6 +94,7 @@ impl HandleSystem {
             rigid,
             parts,
             stiff,
+            places: PulledPlaces::default(),
             sparse: OnceLock::new(),
             field_iterations,
         })
@@ -245,6 +232,7 @@ impl HandleSystem {
             + self.sparse.get().map_or(0, SparseShares::byte_size)
             + self.position.byte_size()
             + self.stiff.byte_size()
+            + self.places.byte_size()
             + self.setup.stiff.part_of.capacity() * 4
             + if self.rotation.shares_with(&self.position) {
                 0
@@ -257,6 +245,65 @@ impl HandleSystem {
                 .rigid
                 .as_ref()
                 .map_or(0, |r| r.fixed.capacity() + r.system.byte_size())
+    }
+}
+
+/// Which components hold a constraint of positions, and the parts that do not.
+pub(super) fn settle_parts(
+    body: &DeformableBody,
+    setup: &HandleSetup,
+    position: &NodeOwnership,
+) -> Result<(Vec<bool>, FreeParts), Error> {
+    let covered = position.covered(body);
+    if !covered.contains(&true) {
+        return Err(Error::NoPosition);
+    }
+    let parts = FreeParts::settle(body, &covered, setup.policy)?;
+    Ok((covered, parts))
+}
+
+/// What follows for the second pass from who holds which position.
+pub(super) struct PositionSystems {
+    pub positions: ConstrainedSystem,
+    pub rigid: Option<ConstrainedSystem>,
+    pub stiff: StiffParts,
+}
+
+impl PositionSystems {
+    /// Makes the systems; `ready` is that of the positions, where there is one already. `covered` is by component. Reports the
+    /// stage "constrain".
+    pub fn make(
+        body: &DeformableBody,
+        setup: &HandleSetup,
+        position: &NodeOwnership,
+        covered: &[bool],
+        ready: Option<LinearSystem>,
+        exec: &Exec<'_>,
+    ) -> Result<Self, Error> {
+        exec.progress.report("constrain", 0.0);
+        let fixed: Vec<bool> = (0..body.nodes())
+            .map(|i| position.hard[i] != UNHELD || !covered[body.graph.component[i] as usize])
+            .collect();
+        let stiffness = position.stiffness();
+        let positions = match ready {
+            Some(system) => ConstrainedSystem { fixed, system },
+            None => constrained(body, fixed, stiffness.as_deref(), exec.pool)?,
+        };
+        let loose: Vec<&HandleConstraint> = setup.handles.iter().filter(|h| h.is_loosely_rigid()).collect();
+        let stiff = StiffParts::settle(body, &setup.stiff, position, covered);
+        let rigid = if loose.is_empty() && stiff.is_empty() {
+            None
+        } else {
+            let mut fixed = positions.fixed.clone();
+            let held = loose.iter().flat_map(|h| &h.nodes);
+            held.chain(stiff.all_nodes()).for_each(|&n| fixed[n as usize] = true);
+            Some(constrained(body, fixed, stiffness.as_deref(), exec.pool)?)
+        };
+        Ok(Self {
+            positions,
+            rigid,
+            stiff,
+        })
     }
 }
 

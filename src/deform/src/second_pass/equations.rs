@@ -130,11 +130,14 @@ impl HandleSystem {
             return;
         }
         let maps: Vec<_> = transforms.iter().map(Transform::map).collect();
-        for &(node, k, stiffness) in self.position.soft.iter() {
+        for (pull, &(node, k, stiffness)) in self.position.soft.iter().enumerate() {
             let node = node as usize;
-            let target = maps
-                .get(k as usize)
-                .map_or(body.graph.positions[node], |map| map(body.graph.positions[node]));
+            let rest = body.graph.positions[node];
+            let target = match (self.places.of_pull(pull, k), maps.get(k as usize)) {
+                (Some(place), _) => place,
+                (None, Some(map)) => map(rest),
+                (None, None) => rest,
+            };
             add(node, (body.solving_from_model(target) - center) * stiffness);
         }
     }

@@ -295,7 +295,7 @@ pub(super) struct BoneProducts {
 }
 
 /// A vertex's answers to the bones: what its weights are fitted to.
-pub(super) struct VertexTargets<'a> {
+pub(super) struct FittedPlaces<'a> {
     /// p̃.
     point: [f64; 4],
     /// By bone: Σ Aᵀ v over all frames, four numbers each.
@@ -329,7 +329,7 @@ impl BoneProducts {
     }
 
     /// Σ‖Aⱼ p̃ − v‖² for one bone.
-    pub(super) fn own_error(&self, vertex: &VertexTargets<'_>, bone: usize) -> f64 {
+    pub(super) fn own_error(&self, vertex: &FittedPlaces<'_>, bone: usize) -> f64 {
         let size = 4 * self.bones;
         let mut sum = 0.0;
         for (a, x) in vertex.point.iter().enumerate() {
@@ -340,7 +340,7 @@ impl BoneProducts {
     }
 
     /// A row of the Gram matrix of Aⱼ p̃ − v, for one j and all bones.
-    pub(super) fn gram_row(&self, vertex: &VertexTargets<'_>, bone: usize, to: &mut Vec<f64>) {
+    pub(super) fn gram_row(&self, vertex: &FittedPlaces<'_>, bone: usize, to: &mut Vec<f64>) {
         let size = 4 * self.bones;
         let p = &vertex.point;
         let rows = &self.products[4 * bone * size..4 * (bone + 1) * size];
@@ -359,7 +359,7 @@ impl BoneProducts {
     }
 }
 
-impl<'a> VertexTargets<'a> {
+impl<'a> FittedPlaces<'a> {
     pub(super) fn new(rest: DVec3, pulls: &'a [f64], square: f64) -> Self {
         Self {
             point: [rest.x, rest.y, rest.z, 1.0],

@@ -6,7 +6,7 @@
 //!
 //! The smallest value of wᵀ G w over weights that are not negative and add up to one, for up to five of them.
 
-use super::bone_fit::{BoneFrames, BoneProducts, VertexTargets, gather_targets};
+use super::bone_fit::{BoneFrames, BoneProducts, FittedPlaces, gather_targets};
 use super::joined::MeanWeights;
 use super::sequence::ShapeSamples;
 use crate::skeleton::BoneInfluences;
@@ -73,7 +73,7 @@ fn for_each_vertex(
     samples: &ShapeSamples,
     bones: &BoneFrames,
     exec: &Exec<'_>,
-    fit: impl Fn(&mut SetSearch<'_>, &VertexTargets<'_>, usize) -> (BoneInfluences, f64) + Sync + Send,
+    fit: impl Fn(&mut SetSearch<'_>, &FittedPlaces<'_>, usize) -> (BoneInfluences, f64) + Sync + Send,
 ) -> Result<(Vec<BoneInfluences>, Vec<f64>), Cancelled> {
     let products = BoneProducts::new(bones, exec)?;
     let vertices = samples.vertices();
@@ -101,7 +101,7 @@ fn for_each_vertex(
                 for k in 0..count {
                     let size = 4 * bones.bones();
                     let own = &pulls[k * size..(k + 1) * size];
-                    let vertex = VertexTargets::new(samples.rest[first + k], own, squares[k]);
+                    let vertex = FittedPlaces::new(samples.rest[first + k], own, squares[k]);
                     (influences[k], errors[k]) = fit(search, &vertex, first + k);
                 }
                 Ok::<(), Cancelled>(())
@@ -166,7 +166,7 @@ impl<'a> SetSearch<'a> {
         self.strength * (same - self.mean[a] - self.mean[b] + self.mean_square)
     }
 
-    fn best_single(&mut self, vertex: &VertexTargets<'_>) -> (usize, f64) {
+    fn best_single(&mut self, vertex: &FittedPlaces<'_>) -> (usize, f64) {
         let mut best = (0, f64::INFINITY);
         for bone in 0..self.products.bones() {
             let error = self.products.own_error(vertex, bone);
@@ -179,7 +179,7 @@ impl<'a> SetSearch<'a> {
 
     fn best_set(
         &mut self,
-        vertex: &VertexTargets<'_>,
+        vertex: &FittedPlaces<'_>,
         most: usize,
         start: Option<&BoneInfluences>,
     ) -> (BoneInfluences, f64) {
@@ -218,7 +218,7 @@ impl<'a> SetSearch<'a> {
     }
 
     /// Takes bones in and lets others go while that lessens the error.
-    fn improve(&mut self, vertex: &VertexTargets<'_>, most: usize, mut set: WeightedSet) -> WeightedSet {
+    fn improve(&mut self, vertex: &FittedPlaces<'_>, most: usize, mut set: WeightedSet) -> WeightedSet {
         for _ in 0..CHANGES {
             let mut better = None;
             for bone in self.promising(vertex, &set).into_iter().flatten() {
@@ -242,7 +242,7 @@ impl<'a> SetSearch<'a> {
     }
 
     /// The bones outside of the set towards which the error falls most.
-    fn promising(&mut self, vertex: &VertexTargets<'_>, set: &WeightedSet) -> [Option<usize>; TRIES] {
+    fn promising(&mut self, vertex: &FittedPlaces<'_>, set: &WeightedSet) -> [Option<usize>; TRIES] {
         let mut slope = [0usize; MOST];
         for k in 0..set.count {
             slope[k] = self.row(vertex, set.bones[k]);
@@ -273,7 +273,7 @@ impl<'a> SetSearch<'a> {
     }
 
     /// The best of the sets with one bone less.
-    fn without_one(&mut self, vertex: &VertexTargets<'_>, set: &WeightedSet) -> WeightedSet {
+    fn without_one(&mut self, vertex: &FittedPlaces<'_>, set: &WeightedSet) -> WeightedSet {
         let mut best: Option<WeightedSet> = None;
         for left_out in 0..set.count {
             let mut bones = [0; MOST];
@@ -288,7 +288,7 @@ impl<'a> SetSearch<'a> {
     }
 
     /// Fits weights on a set; bones that get none are left out.
-    fn fit_set(&mut self, vertex: &VertexTargets<'_>, bones: &[usize]) -> WeightedSet {
+    fn fit_set(&mut self, vertex: &FittedPlaces<'_>, bones: &[usize]) -> WeightedSet {
         let mut gram = [[0.0; MOST]; MOST];
         for (a, &j) in bones.iter().enumerate() {
             let row = self.row(vertex, j);
@@ -316,7 +316,7 @@ impl<'a> SetSearch<'a> {
     }
 
     /// Where the row of a bone is kept.
-    fn row(&mut self, vertex: &VertexTargets<'_>, bone: usize) -> usize {
+    fn row(&mut self, vertex: &FittedPlaces<'_>, bone: usize) -> usize {
         if let Some(at) = self.rows[..self.known].iter().position(|r| r.0 == bone) {
             return at;
         }

@@ -277,9 +277,9 @@ pub(crate) fn with_pivots(poses: &HandlePoses, handles: &[pb::HandleFacts]) -> H
     let pinned = poses.0.iter().zip(handles).map(|(pose, facts)| match facts.pivot[..] {
         [x, y, z] if pose.moves() && !pose.free_rotation => HandlePose {
             pivot: pose.pivot.or(Some([x, y, z].into())),
-            ..*pose
+            ..pose.clone()
         },
-        _ => *pose,
+        _ => pose.clone(),
     });
     HandlePoses(Arc::new(pinned.collect()))
 }
@@ -293,7 +293,7 @@ fn keeping_pivots(mut set: HandleSet, current: &HandleSet, poses: &HandlePoses) 
         if let (Some(pose), Some((_, old))) = (&mut handle.pose, old) {
             let kept = HandlePose {
                 pivot: old.pivot,
-                ..*pose
+                ..pose.clone()
             };
             if pose.pivot.is_none() && kept == *old {
                 *pose = kept;
@@ -307,7 +307,7 @@ fn keeping_pivots(mut set: HandleSet, current: &HandleSet, poses: &HandlePoses) 
 fn set_at_poses(current: &HandleSet, poses: &HandlePoses) -> HandleSet {
     let mut next = current.clone();
     for (handle, pose) in next.handles.iter_mut().zip(poses.0.iter()) {
-        handle.pose = (*pose != HandlePose::default()).then_some(*pose);
+        handle.pose = (*pose != HandlePose::default()).then(|| pose.clone());
     }
     next
 }
@@ -347,7 +347,7 @@ mod handle_change_tests {
     }
 
     fn x_of(handle: &Handle) -> Option<f64> {
-        handle.pose.and_then(|p| p.translation).map(|by| by.x)
+        handle.pose.as_ref().and_then(|p| p.translation).map(|by| by.x)
     }
 
     #[test]

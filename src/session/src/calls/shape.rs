@@ -124,12 +124,14 @@ impl Manager {
             metrics.refused.inc();
         })?;
         let mailbox = loop {
+            let of_targets = self.shared.ledger.reserve_later(MemoryUse::Sessions, Some(&account));
             let mailbox = Mailbox::new(
                 &session.id,
                 &self.who,
                 config,
                 Arc::clone(&metrics),
                 Arc::clone(&session.wake),
+                of_targets,
             );
             let mailbox = Arc::new(mailbox);
             match session.streams.add(Arc::clone(&mailbox)) {

@@ -8,7 +8,7 @@ use crate::history::session_state::CommitList;
 use crate::history::session_state::{
     CommittedHandles, EditedState, HandleSetId, PosedState, RecordedShapeId, SessionState, ShapeRecipe,
 };
-use pliant_core::engine::{HandlePoses, HandleSet, ModelShape, TopologyState};
+use pliant_core::engine::{HandlePose, HandlePoses, HandleSet, ModelShape, TopologyState};
 use pliant_wire::{add_found_turns, pb};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
@@ -355,7 +355,8 @@ impl CommitHistory {
         } else {
             handle_bytes(&state)
         };
-        let log_bytes = handles + state.poses.0.len() as u64 * POSE_BYTES;
+        let targets: usize = state.poses.0.iter().map(HandlePose::target_bytes).sum();
+        let log_bytes = handles + state.poses.0.len() as u64 * POSE_BYTES + targets as u64;
         self.held_log_bytes += log_bytes;
         if let Some(shape) = self.shapes.get_mut(&state.shape) {
             shape.uses += 1;

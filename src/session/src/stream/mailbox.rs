@@ -6,15 +6,19 @@
 //! frames. One short lock guards the state; it is never held while anything waits or computes.
 
 use crate::answers::StreamAnswer;
+use crate::capacity::memory_ledger::MemoryReservation;
 use crate::config::SessionConfig;
 use crate::error::{Error, ErrorCode};
 use crate::metrics::Metrics;
 use crate::stream::frame_window::FrameWindow;
-use pliant_core::engine::HandlePose;
+use crate::stream::waiting_poses::{
+    DraggedPoses, PoseEntries, WAITING_PARTS, WaitingPose, drop_replaced, merge_waiting_drags, stays_apart,
+    target_bytes,
+};
 use pliant_exec::progress::CancelFlag;
 use pliant_wire::frames::Frame;
-use pliant_wire::{DeformOptions, Error as WireError, PoseKey, StreamRequest};
-use std::collections::{BTreeMap, VecDeque};
+use pliant_wire::{DeformOptions, Error as WireError, StreamRequest};
+use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::Poll;
 use tokio::sync::Notify;
@@ -43,16 +47,19 @@ pub(crate) struct Mailbox {
     metrics: Arc<Metrics>,
     max_commits: usize,
     max_entries: usize,
+    /// Of targets that wait or are dragged.
+    held: MemoryReservation,
 }
 
 impl Mailbox {
-    /// On a session, opened by `who`.
+    /// On a session, opened by `who`; `held` is for the bytes of targets.
     pub fn new(
         session: &str,
         who: &Arc<str>,
         config: &SessionConfig,
         metrics: Arc<Metrics>,
         task: Arc<Notify>,
+        held: MemoryReservation,
     ) -> Self {
         let settings = DeformOptions::with_defaults(config.window);
         Self {
@@ -66,6 +73,7 @@ impl Mailbox {
             metrics,
             max_commits: config.stream_commits,
             max_entries: config.handles,
+            held,
         }
     }
 
@@ -107,6 +115,7 @@ impl Mailbox {
             StreamRequest::Pose {
                 seq,
                 commit,
+                more,
                 key,
                 entries,
             } => {
@@ -118,20 +127,39 @@ impl Mailbox {
                         seq,
                         entries,
                         commit,
+                        more,
                         key,
                         settings,
                         poses: 1,
                     });
-                match pose {
-                    Ok(pose) => {
-                        state.waiting.push_back(pose);
-                        merge_waiting_drags(&mut state.waiting, self.max_entries);
-                        self.task.notify_one();
-                    }
+                match pose.and_then(|pose| self.add_pose(&mut state, pose)) {
+                    Ok(()) => self.task.notify_one(),
                     Err(error) => self.refuse_pose(&mut state, seq, error),
                 }
             }
         }
+        Ok(())
+    }
+
+    /// Has a pose wait, if there is room for its targets.
+    fn add_pose(&self, state: &mut StreamState, pose: WaitingPose) -> Result<(), Error> {
+        drop_replaced(&mut state.waiting, &pose);
+        if stays_apart(&pose) {
+            if state.waiting.iter().filter(|w| stays_apart(w)).count() >= WAITING_PARTS {
+                let text = format!("{WAITING_PARTS} parts of poses wait on this stream already; wait for a frame");
+                return Err(Error::exhausted(text, 1));
+            }
+            state.waiting.push_back(pose);
+            let bytes = target_bytes(&state.waiting, &state.dragged);
+            if let Err(shortage) = self.held.grow_to(bytes) {
+                state.waiting.pop_back();
+                let text = format!("the targets that wait would need {bytes} bytes of memory, and {shortage}");
+                return Err(Error::exhausted(text, 1));
+            }
+            return Ok(());
+        }
+        state.waiting.push_back(pose);
+        merge_waiting_drags(&mut state.waiting, self.max_entries);
         Ok(())
     }
 
@@ -254,7 +282,7 @@ impl Mailbox {
 
     /// Whether a newer pose waits.
     pub fn has_newer_pose(&self) -> bool {
-        !self.lock_state().waiting.is_empty()
+        self.lock_state().waiting.iter().any(|w| !w.more)
     }
 
     /// Whether an intermediate frame may be sent. The last place in the window is kept for the final frame.
@@ -290,6 +318,8 @@ impl Mailbox {
         let mut state = self.lock_state();
         state.running = false;
         state.dragged = dragged;
+        // They are few beside those of the session; what is short shows at the next pose.
+        let _ = self.held.resize(target_bytes(&state.waiting, &state.dragged));
         if state.ended.is_none()
             && let Some(mut frame) = frame
         {
@@ -411,13 +441,14 @@ impl StreamState {
         match to_commit {
             _ if self.running || self.ended.is_some() => 0,
             Some(upto) if self.leaving || !is_blocked => upto,
-            None if !is_blocked => self.waiting.len(),
+            // Parts wait for the pose that they are of.
+            None if !is_blocked => self.waiting.iter().rposition(|w| !w.more).map_or(0, |at| at + 1),
             _ => 0,
         }
     }
 
     pub fn is_idle(&self) -> bool {
-        !self.running && self.waiting.is_empty() && self.held.is_none()
+        !self.running && self.waiting.iter().all(|w| w.more) && self.held.is_none()
     }
 
     pub fn end(&mut self, error: Option<Error>) {
@@ -427,52 +458,6 @@ impl StreamState {
             self.frames.waiting.clear();
             self.held = None;
         }
-    }
-}
-
-/// Drag poses that wait one by one; more are merged, oldest first.
-pub(crate) const WAITING_DRAGS: usize = 64;
-
-/// Poses by handle.
-pub(crate) type DraggedPoses = BTreeMap<String, HandlePose>;
-
-/// The handles that a pose names, each with its pose, or with the error that the stream reports at the pose's turn.
-pub(crate) type PoseEntries = Vec<(String, Result<HandlePose, WireError>)>;
-
-/// A pose that waits to be solved.
-#[derive(Debug, Clone)]
-pub(crate) struct WaitingPose {
-    pub seq: u64,
-    pub entries: PoseEntries,
-    pub commit: bool,
-    /// Of a commit that may be sent again.
-    pub key: Option<PoseKey>,
-    /// The options in force when it came.
-    pub settings: Arc<DeformOptions>,
-    /// Poses that it stands for, itself included; more than one only when poses had to be merged.
-    pub poses: u32,
-}
-
-/// Merges the oldest neighbouring drags while too much waits. Errors then do not name the drag.
-pub(crate) fn merge_waiting_drags(waiting: &mut VecDeque<WaitingPose>, max_entries: usize) {
-    let most = 2 * max_entries + WAITING_DRAGS;
-    loop {
-        let drags = waiting.iter().filter(|w| !w.commit);
-        let (count, entries) = drags.fold((0, 0), |(n, e), w| (n + 1, e + w.entries.len()));
-        if count <= WAITING_DRAGS && entries <= most {
-            return;
-        }
-        let mut pairs = waiting.iter().zip(waiting.iter().skip(1));
-        let Some(at) = pairs.position(|(a, b)| !a.commit && !b.commit) else {
-            return;
-        };
-        let Some(old) = waiting.remove(at) else { return };
-        let Some(new) = waiting.get_mut(at) else { return };
-        let entries = old.entries.into_iter().chain(std::mem::take(&mut new.entries));
-        let union: BTreeMap<_, _> = entries.collect();
-        // More names than a session has handles: some are wrong, and it is not known yet which.
-        new.entries = union.into_iter().take(max_entries).collect();
-        new.poses = new.poses.saturating_add(old.poses);
     }
 }
 

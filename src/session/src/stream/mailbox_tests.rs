@@ -1,19 +1,24 @@
 //! The state of a stream, driven without a session: whatever the order of events, its counts balance and it stays bounded.
 
 use super::*;
+use crate::capacity::memory_ledger::MemoryLedger;
+use crate::capacity::memory_use::MemoryUse;
+use crate::stream::waiting_poses::WAITING_DRAGS;
 use glam::DVec3;
-use pliant_core::engine::HandlePose;
+use pliant_core::engine::{HandlePose, VertexTargets};
 use pliant_wire::pb;
 use proptest::prelude::*;
 
 fn mailbox(config: &SessionConfig) -> Mailbox {
-    Mailbox::new("here", &"anyone".into(), config, Arc::default(), Arc::default())
+    let held = MemoryLedger::new(1 << 20, Arc::default()).reserve_later(MemoryUse::Sessions, None);
+    Mailbox::new("here", &"anyone".into(), config, Arc::default(), Arc::default(), held)
 }
 
 fn posed(seq: u64, entries: PoseEntries, commit: bool) -> StreamRequest {
     StreamRequest::Pose {
         seq,
         commit,
+        more: false,
         key: None,
         entries: Ok(entries),
     }
@@ -212,6 +217,7 @@ fn what_waits_is_bounded_whatever_is_sent() {
     let large = StreamRequest::Pose {
         seq: 3000,
         commit: false,
+        more: false,
         key: None,
         entries: Err(WireError::invalid("pose.handles", "too many")),
     };
@@ -371,4 +377,59 @@ proptest! {
             prop_assert!(finals.last() == Some(&seq) || errors.contains(&seq), "the last pose is answered");
         }
     }
+}
+
+#[test]
+fn newer_targets_replace_those_that_wait_and_parts_need_memory() {
+    let mailbox = mailbox(&SessionConfig::default());
+    // 600 KB of the 1 MiB that there is.
+    let large = |first: Option<u32>, weight: Option<f32>| {
+        let targets = VertexTargets::of(std::iter::repeat_n([1.0; 3], 50_000));
+        let weights = weight.map_or_else(Vec::new, |w| vec![w; 50_000]);
+        vec![(
+            "scan".to_owned(),
+            Ok(HandlePose::targets(VertexTargets {
+                first,
+                ..targets.weighted(weights)
+            })),
+        )]
+    };
+    mailbox.push(posed(1, large(None, Some(0.5)), false)).expect("open");
+    for seq in 2..=5 {
+        mailbox.push(posed(seq, large(None, None), false)).expect("open");
+    }
+    assert!(mailbox.next_answer().is_pending(), "nothing is refused");
+    let work = mailbox.take_work().expect("poses");
+    let entries: usize = work.iter().map(|pose| pose.entries.len()).sum();
+    assert_eq!((work.len(), entries), (5, 2), "the weights of the first, and the last");
+    complete(&mailbox, work);
+
+    let part = |seq: u64, first: u32| match posed(seq, large(Some(first), None), false) {
+        StreamRequest::Pose {
+            seq,
+            commit,
+            key,
+            entries,
+            ..
+        } => StreamRequest::Pose {
+            more: true,
+            seq,
+            commit,
+            key,
+            entries,
+        },
+        other => other,
+    };
+    assert!(collect_frame(&mailbox).is_some());
+    mailbox.push(part(6, 0)).expect("open");
+    assert!(mailbox.take_work().is_none(), "a part is not solved");
+    mailbox.push(part(7, 50_000)).expect("open");
+    match mailbox.next_answer() {
+        Poll::Ready(Some(StreamAnswer::Failure { error, seq: 7 })) => {
+            assert_eq!(error.code, ErrorCode::ResourceExhausted)
+        }
+        other => panic!("a refusal was expected, not {other:?}"),
+    }
+    mailbox.push(posed(8, vec![], false)).expect("open");
+    assert_eq!(mailbox.take_work().map(|work| work.len()), Some(2));
 }

@@ -6,3 +6,4 @@
 pub(super) mod ends;
 pub(super) mod frame_window;
 pub(super) mod mailbox;
+pub(crate) mod waiting_poses;

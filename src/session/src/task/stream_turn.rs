@@ -12,7 +12,7 @@ use crate::history::loaded_deformer::{LoadedDeformer, PoseAnswer};
 use crate::history::session_state::{PosedState, SessionState};
 use crate::stream::frame_window::{FrameContext, ms_of};
 use crate::stream::mailbox::Mailbox;
-use crate::stream::mailbox::{DraggedPoses, PoseEntries, WaitingPose};
+use crate::stream::waiting_poses::{DraggedPoses, PoseEntries, WaitingPose};
 use crate::task::commands::lane_of_commit;
 use crate::task::session_task::{SessionTask, no_handles};
 use pliant_core::engine::{self, HandlePose, HandlePoses, Quality, SolveMode, SolveUpdate, TopologyState};
@@ -176,7 +176,7 @@ impl SessionTask {
         };
         match self.recall_answer(answer, commit.seq, order).await {
             Ok(frame) => {
-                let others: u32 = poses.iter().map(|p| p.poses).sum();
+                let others: u32 = poses.iter().filter(|p| !p.more).map(|p| p.poses).sum();
                 mailbox.settle_unsolved(Vec::new(), others.saturating_sub(1));
                 mailbox.complete_work(DraggedPoses::new(), Some(frame));
             }
@@ -233,22 +233,39 @@ impl TurnContext {
     ) -> Result<Option<SolvedTurn>, engine::Error> {
         let state = &self.state;
         deformer.load_state(state.topology.as_ref(), &state.handles, &work.exec())?;
-        let before: Vec<_> = dragged.iter().map(|(id, pose)| (id.clone(), *pose)).collect();
+        let before: Vec<_> = dragged.iter().map(|(id, pose)| (id.clone(), pose.clone())).collect();
         let mut merged = deformer.engine.change_poses(&state.poses, &before)?;
         let mut refused = Vec::new();
         let mut superseded = 0u32;
         let mut newest: Option<WaitingPose> = None;
+        // Why a part of the next pose was refused, which it is not solved without.
+        let mut missing = None;
         for mut pose in poses {
             let others = pose.poses.saturating_sub(1);
             let entries = std::mem::take(&mut pose.entries);
-            match valid_changes(deformer.engine.as_ref(), &merged, entries, others > 0) {
+            let changes = match missing.take_if(|_| !pose.more) {
+                Some(error) => Err(error),
+                None => valid_changes(deformer.engine.as_ref(), &merged, entries, others > 0),
+            };
+            match changes {
                 Ok((changes, changed)) => {
                     merged = changed;
-                    dragged.extend(changes);
-                    let skipped = newest.replace(pose).map_or(0, |_| 1);
+                    let whole = changes
+                        .into_iter()
+                        .map(|(id, pose)| with_whole_targets(state, &merged, id, pose));
+                    dragged.extend(whole);
+                    let skipped = match pose.more {
+                        true => 0,
+                        false => newest.replace(pose).map_or(0, |_| 1),
+                    };
                     superseded = superseded.saturating_add(skipped);
                 }
-                Err(error) => refused.push((pose.seq, error)),
+                Err(error) => {
+                    if pose.more {
+                        missing = Some(error.clone());
+                    }
+                    refused.push((pose.seq, error));
+                }
             }
             superseded = superseded.saturating_add(others);
         }
@@ -317,6 +334,13 @@ impl TurnContext {
             commit: None,
         })
     }
+}
+
+/// The pose of a handle with all its targets, as it is in `poses`, where it changes any.
+fn with_whole_targets(state: &SessionState, poses: &HandlePoses, id: String, pose: HandlePose) -> (String, HandlePose) {
+    let at = (pose.targets.as_ref()).and_then(|_| state.handles.set.handles.iter().position(|h| h.id == id));
+    let whole = at.and_then(|at| poses.0.get(at)).cloned();
+    (id, whole.unwrap_or(pose))
 }
 
 /// What a pose changes, and `poses` with these changes. Of one that stands for several, only the entries that are wrong

@@ -1,7 +1,7 @@
 //! Commits come back as they were written, and bytes that are no commit are refused.
 
 use super::*;
-use pliant_core::engine::{Handle, HandleScale, Region, Stiff};
+use pliant_core::engine::{Handle, HandleScale, Region, Stiff, VertexTargets};
 use proptest::prelude::*;
 
 fn facts() -> Box<pb::Session> {
@@ -53,7 +53,8 @@ fn commits() -> Vec<LoggedCommit> {
         free_rotation: true,
         ..HandlePose::translation([third, -0.0, 1e-300])
     };
-    let poses = HandlePoses(vec![pose, HandlePose::default()].into());
+    let targets = VertexTargets::of([[0.1, -0.0, 3.0e38]]).weighted([0.3]);
+    let poses = HandlePoses(vec![pose, HandlePose::default(), HandlePose::targets(targets)].into());
     let probe = ShapeProbe::of(&[DVec3::splat(third); 40]);
     let weld = pb::EditRequest {
         on: pb::edit_request::On::Rest.into(),

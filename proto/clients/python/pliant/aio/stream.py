@@ -45,11 +45,14 @@ class Stream:
         self.lost = False
         self._reader = self._transport.task(self._run(), "pliant-stream")
 
-    def send(self, poses: Poses) -> int:
-        """Sends a pose; handles that are not named stay where they are. Answers its number, which its frame carries."""
+    def send(self, poses: Poses, *, more: bool = False) -> int:
+        """Sends a pose; handles that are not named stay where they are. Answers its number, which its frame carries.
+
+        With `more` it is a part of the next pose, without a frame of its own, so that targets may be larger than a message.
+        """
         with self._news:
             self._check()
-            self._outgoing.put_nowait(self._traffic.pose(poses))
+            self._outgoing.put_nowait(self._traffic.pose(poses, more))
             return self._traffic.seq
 
     async def receive(self, timeout: float | None = None) -> Frame:

@@ -1,0 +1,80 @@
+//! Targets of single vertices: where a pose wants each vertex of a handle, and what follows for the nodes that are solved.
+
+/// What the stiffness of a handle with targets is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum StiffnessPer {
+    /// Each vertex.
+    #[default]
+    Vertex,
+    /// A share of 1/10000 of the area of the model: a vertex has the stiffness × 10000 × its area (a third of that of its
+    /// triangles) / the area of the model. Handles then pull alike at any resolution of a surface.
+    Area,
+}
+
+/// Where a pose wants vertices of a handle with targets.
+///
+/// ```
+/// /// let all = VertexTargets::of([[0.0, 1.0, 0.0], [1.0, 1.0, 0.0]]).weighted([1.0, 0.5]);
+/// assert_eq!((all.first, all.positions.len()), (None, 2));
+/// ```
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct VertexTargets {
+    /// `None`: the lists have an entry for each vertex of the handle, in the order of the model's vertices. Else they are of some
+    /// of them, from this one of the handle on; the others keep what they have.
+    pub first: Option<u32>,
+    /// The places, model space. Empty: as before, which is in the rest pose to begin with.
+    pub positions: Vec<[f32; 3]>,
+    /// What each of them weighs, 0 or more: a factor of the stiffness. Empty: as before, which is 1 to begin with.
+    pub weights: Vec<f32>,
+}
+
+impl VertexTargets {
+    /// Makes the targets of all vertices of a handle.
+    pub fn of(positions: impl IntoIterator<Item = [f32; 3]>) -> Self {
+        Self {
+            positions: positions.into_iter().collect(),
+            ..Self::default()
+        }
+    }
+
+    /// Adds weights.
+    #[must_use]
+    pub fn weighted(self, weights: impl IntoIterator<Item = f32>) -> Self {
+        let weights = weights.into_iter().collect();
+        Self { weights, ..self }
+    }
+
+    /// Bytes held.
+    pub fn byte_size(&self) -> usize {
+        size_of::<Self>() + size_of_val(&self.positions[..]) + size_of_val(&self.weights[..])
+    }
+
+    /// These on top of `before`, for all vertices of a handle, whose rest positions are given.
+    pub(super) fn on_top_of(&self, before: Option<&Self>, rest: &[[f32; 3]]) -> Self {
+        let laid = |all: Vec<_>, change: &[_]| replaced(all, change, self.first);
+        let positions = match (&self.positions[..], before) {
+            ([], before) => before.map_or_else(Vec::new, |b| b.positions.clone()),
+            (change, _) if self.first.is_none() => change.to_vec(),
+            (change, Some(b)) if !b.positions.is_empty() => laid(b.positions.clone(), change),
+            (change, _) => laid(rest.to_vec(), change),
+        };
+        let weights = match (&self.weights[..], before) {
+            ([], before) => before.map_or_else(Vec::new, |b| b.weights.clone()),
+            (change, _) if self.first.is_none() => change.to_vec(),
+            (change, Some(b)) if !b.weights.is_empty() => replaced(b.weights.clone(), change, self.first),
+            (change, _) => replaced(vec![1.0; rest.len()], change, self.first),
+        };
+        Self {
+            first: None,
+            positions,
+            weights,
+        }
+    }
+}
+
+/// `all` with `change` from a place on, which is within.
+fn replaced<T: Copy>(mut all: Vec<T>, change: &[T], first: Option<u32>) -> Vec<T> {
+    let first = first.unwrap_or(0) as usize;
+    all[first..first + change.len()].copy_from_slice(change);
+    all
+}

@@ -1,0 +1,123 @@
+//! Handles with targets: in parts along a stream, committed, undone, and kept in a store.
+
+use super::fake::*;
+use super::real::{bar_files, bent_in};
+use pliant::engine::{Handle, HandlePose, HandleSet, Region, VertexTargets};
+use pliant::session::store::StoreLocation;
+use pliant::session::{Manager, OpenDeformer, SessionConfig};
+use pliant::wire::{PoseCommit, StreamRequest};
+use std::path::Path;
+use std::sync::Arc;
+
+/// Vertices of the bar.
+const COUNT: usize = 52;
+
+async fn manager_of(folder: &Path) -> Manager {
+    let location = StoreLocation {
+        build: Some("one".into()),
+        ..StoreLocation::in_folder(folder)
+    };
+    let store = Arc::new(store_at(&location).await);
+    let manager = Manager::with_store(SessionConfig::default(), OpenDeformer, store).await;
+    manager.expect("a store")
+}
+
+async fn scanned(manager: &Manager) -> Fixture {
+    let fixture = bent_in(manager).await;
+    let base = Handle::new("base", Region::half_space([0.0, 0.0, -1.0], -0.3));
+    let scan = Handle::with_targets("scan", Region::vertices(0..COUNT as u32), 0.5);
+    let told = fixture.set_handles(HandleSet::from([base, scan])).await;
+    assert_eq!(told.handles[1].vertices as usize, COUNT);
+    fixture
+}
+
+/// The bar leant to one side.
+fn leaning() -> Vec<[f32; 3]> {
+    let text = String::from_utf8(bar_files().main.to_vec()).expect("text");
+    let lines = text.lines().filter_map(|line| line.strip_prefix("v "));
+    let read = |line: &str| -> Vec<f32> { line.split(' ').map(|v| v.parse().expect("a number")).collect() };
+    lines
+        .map(read)
+        .map(|p| [p[0] + 0.2 * p[2] * p[2], p[1], p[2]])
+        .collect()
+}
+
+fn targets(positions: &[[f32; 3]], first: Option<u32>) -> HandlePose {
+    HandlePose::targets(VertexTargets {
+        first,
+        ..VertexTargets::of(positions.iter().copied())
+    })
+}
+
+fn part(seq: u64, pose: HandlePose) -> StreamRequest {
+    match posed(seq, vec![("scan".into(), pose)], false) {
+        StreamRequest::Pose {
+            seq,
+            commit,
+            key,
+            entries,
+            ..
+        } => StreamRequest::Pose {
+            more: true,
+            seq,
+            commit,
+            key,
+            entries,
+        },
+        other => other,
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn parts_are_solved_once_and_commits_of_targets_undo_and_reopen_to_the_bit() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let manager = manager_of(folder.path()).await;
+    let fixture = scanned(&manager).await;
+    let (rest, all) = (fixture.digest().await, leaning());
+    let whole = fixture
+        .solve(PoseCommit {
+            seq: 1,
+            changes: vec![("scan".into(), targets(&all, None))],
+            options: stream_options(),
+        })
+        .await;
+    assert_ne!(whole.digest, rest);
+    fixture.undo().await;
+    assert_eq!(fixture.digest().await, rest);
+
+    // In parts, and with a part that does not fit: what it belongs to is refused with it.
+    let mut client = fixture.client().await;
+    client.push(part(1, targets(&all[..20], Some(40))));
+    client.push(posed(2, vec![], true));
+    assert_eq!(client.error().await.0, 1);
+    assert_eq!(client.error().await.0, 2);
+    client.push(part(3, targets(&all[..20], Some(0))));
+    client.silent().await;
+    client.push(posed(4, vec![("scan".into(), targets(&all[20..], Some(20)))], true));
+    assert_eq!(client.frame().await.header.seq, 4);
+    client.ack(4);
+    drop(client);
+    assert_eq!(
+        fixture.digest().await,
+        whole.digest,
+        "the same targets give the same bits"
+    );
+    fixture.undo().await;
+    fixture.redo().await;
+    assert_eq!(fixture.digest().await, whole.digest);
+    let id = fixture.id.clone();
+    drop(fixture);
+    close(manager).await;
+
+    let manager = manager_of(folder.path()).await;
+    let fixture = Fixture {
+        manager: manager.clone(),
+        id,
+    };
+    assert_eq!(fixture.digest().await, whole.digest, "as it was stored");
+    fixture.undo().await;
+    assert_eq!(fixture.digest().await, rest);
+    fixture.redo().await;
+    assert_eq!(fixture.digest().await, whole.digest);
+    close(manager).await;
+}
