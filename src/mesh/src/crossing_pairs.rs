@@ -1,7 +1,8 @@
 //! Pairs of triangles that cross, with where and how deep, and whether anything could have kept them apart.
 
 use crate::Mesh;
-use crate::intersections::{do_cross, passes, signed_volume, visit_crossings};
+use crate::intersections::{do_cross, passes, rounded, signed_volume, visit_crossings};
+use crate::measure::BoundingBox;
 use glam::DVec3;
 use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
@@ -66,11 +67,9 @@ impl Mesh {
         most: usize,
         exec: &Exec<'_>,
     ) -> Result<CrossingPairs, Cancelled> {
-        let rounded = |positions: &[DVec3]| -> Vec<DVec3> {
-            let welded = self.welded(positions);
-            welded.iter().map(|p| p.as_vec3().as_dvec3()).collect()
-        };
-        let (now, before) = (rounded(positions), rounded(rest));
+        let shape = self.welded(positions);
+        let (now, before) = (rounded(&shape), rounded(&self.welded(rest)));
+        let origin = BoundingBox::of(&shape).origin();
         let corners = |pair: [u32; 2]| pair.map(|t| self.triangles[t as usize]);
         let kind_of = |pair: [u32; 2]| {
             let [a, b] = corners(pair);
@@ -99,7 +98,7 @@ impl Mesh {
                 *last = pair;
             }
         };
-        visit_crossings(&now, &self.triangles, None, &note, exec)?;
+        visit_crossings(&shape, &self.triangles, None, &note, exec)?;
         let first = first.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
         let mut pairs: Vec<CrossingPair> = first
             .into_iter()
@@ -109,7 +108,7 @@ impl Mesh {
                 CrossingPair {
                     triangles: [s.min(t), s.max(t)],
                     kind: kind_of(pair),
-                    at: meeting(a, b),
+                    at: origin + meeting(a, b),
                     depth: depth(a, b).min(depth(b, a)),
                 }
             })

@@ -213,7 +213,7 @@ pub fn visit_crossings(
 }
 
 /// All places as tests take them.
-fn rounded(positions: &[DVec3]) -> Vec<DVec3> {
+pub(crate) fn rounded(positions: &[DVec3]) -> Vec<DVec3> {
     let origin = BoundingBox::of(positions).origin();
     let all = positions.par_iter().map(|p| (*p - origin).as_vec3().as_dvec3());
     all.collect()
@@ -346,7 +346,12 @@ mod tests {
         };
         let all = asked(&|_| true);
         assert_eq!(all.len() as u64, count(&positions, &triangles));
-        assert!(all.is_sorted_by(|a, b| a < b) && all.iter().all(|&pair| is_crossing(&positions, &triangles, pair)));
+        assert!(
+            all.is_sorted_by(|a, b| a < b)
+                && all
+                    .iter()
+                    .all(|&pair| is_crossing(&positions, DVec3::ZERO, &triangles, pair))
+        );
         assert!(asked(&|_| false).is_empty());
         let some = |t: usize| t.is_multiple_of(5);
         let expected = all

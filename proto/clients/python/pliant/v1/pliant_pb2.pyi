@@ -525,23 +525,35 @@ class Region(_message.Message):
     def __init__(self, vertices: _Optional[_Union[Region.Vertices, _Mapping]] = ..., half_space: _Optional[_Union[Region.HalfSpace, _Mapping]] = ..., sphere: _Optional[_Union[Region.Sphere, _Mapping]] = ..., box: _Optional[_Union[Region.Box, _Mapping]] = ..., capsule: _Optional[_Union[Region.Capsule, _Mapping]] = ..., tube: _Optional[_Union[Region.Tube, _Mapping]] = ..., component: _Optional[_Union[Region.Part, _Mapping]] = ..., primitive: _Optional[_Union[Region.Part, _Mapping]] = ..., weights: _Optional[_Union[Region.Weights, _Mapping]] = ...) -> None: ...
 
 class HandlePose(_message.Message):
-    __slots__ = ("translation", "rotation", "rotation_vector", "scale", "pivot", "free_rotation")
+    __slots__ = ("translation", "rotation", "rotation_vector", "scale", "pivot", "free_rotation", "targets")
     TRANSLATION_FIELD_NUMBER: _ClassVar[int]
     ROTATION_FIELD_NUMBER: _ClassVar[int]
     ROTATION_VECTOR_FIELD_NUMBER: _ClassVar[int]
     SCALE_FIELD_NUMBER: _ClassVar[int]
     PIVOT_FIELD_NUMBER: _ClassVar[int]
     FREE_ROTATION_FIELD_NUMBER: _ClassVar[int]
+    TARGETS_FIELD_NUMBER: _ClassVar[int]
     translation: _containers.RepeatedScalarFieldContainer[float]
     rotation: _containers.RepeatedScalarFieldContainer[float]
     rotation_vector: _containers.RepeatedScalarFieldContainer[float]
     scale: _containers.RepeatedScalarFieldContainer[float]
     pivot: _containers.RepeatedScalarFieldContainer[float]
     free_rotation: bool
-    def __init__(self, translation: _Optional[_Iterable[float]] = ..., rotation: _Optional[_Iterable[float]] = ..., rotation_vector: _Optional[_Iterable[float]] = ..., scale: _Optional[_Iterable[float]] = ..., pivot: _Optional[_Iterable[float]] = ..., free_rotation: bool = ...) -> None: ...
+    targets: VertexTargets
+    def __init__(self, translation: _Optional[_Iterable[float]] = ..., rotation: _Optional[_Iterable[float]] = ..., rotation_vector: _Optional[_Iterable[float]] = ..., scale: _Optional[_Iterable[float]] = ..., pivot: _Optional[_Iterable[float]] = ..., free_rotation: bool = ..., targets: _Optional[_Union[VertexTargets, _Mapping]] = ...) -> None: ...
+
+class VertexTargets(_message.Message):
+    __slots__ = ("positions", "weights", "first")
+    POSITIONS_FIELD_NUMBER: _ClassVar[int]
+    WEIGHTS_FIELD_NUMBER: _ClassVar[int]
+    FIRST_FIELD_NUMBER: _ClassVar[int]
+    positions: bytes
+    weights: bytes
+    first: int
+    def __init__(self, positions: _Optional[bytes] = ..., weights: _Optional[bytes] = ..., first: _Optional[int] = ...) -> None: ...
 
 class Handle(_message.Message):
-    __slots__ = ("id", "region", "constrains", "stiffness", "rigid", "pose", "falloff")
+    __slots__ = ("id", "region", "constrains", "stiffness", "rigid", "pose", "falloff", "targets")
     class Constrains(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         POSITION: _ClassVar[Handle.Constrains]
@@ -550,6 +562,17 @@ class Handle(_message.Message):
     POSITION: Handle.Constrains
     ROTATION: Handle.Constrains
     SCALE: Handle.Constrains
+    class Targets(_message.Message):
+        __slots__ = ("stiffness_per",)
+        class StiffnessPer(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+            __slots__ = ()
+            VERTEX: _ClassVar[Handle.Targets.StiffnessPer]
+            AREA: _ClassVar[Handle.Targets.StiffnessPer]
+        VERTEX: Handle.Targets.StiffnessPer
+        AREA: Handle.Targets.StiffnessPer
+        STIFFNESS_PER_FIELD_NUMBER: _ClassVar[int]
+        stiffness_per: Handle.Targets.StiffnessPer
+        def __init__(self, stiffness_per: _Optional[_Union[Handle.Targets.StiffnessPer, str]] = ...) -> None: ...
     ID_FIELD_NUMBER: _ClassVar[int]
     REGION_FIELD_NUMBER: _ClassVar[int]
     CONSTRAINS_FIELD_NUMBER: _ClassVar[int]
@@ -557,6 +580,7 @@ class Handle(_message.Message):
     RIGID_FIELD_NUMBER: _ClassVar[int]
     POSE_FIELD_NUMBER: _ClassVar[int]
     FALLOFF_FIELD_NUMBER: _ClassVar[int]
+    TARGETS_FIELD_NUMBER: _ClassVar[int]
     id: str
     region: Region
     constrains: _containers.RepeatedScalarFieldContainer[Handle.Constrains]
@@ -564,7 +588,8 @@ class Handle(_message.Message):
     rigid: bool
     pose: HandlePose
     falloff: Falloff
-    def __init__(self, id: _Optional[str] = ..., region: _Optional[_Union[Region, _Mapping]] = ..., constrains: _Optional[_Iterable[_Union[Handle.Constrains, str]]] = ..., stiffness: _Optional[float] = ..., rigid: bool = ..., pose: _Optional[_Union[HandlePose, _Mapping]] = ..., falloff: _Optional[_Union[Falloff, _Mapping]] = ...) -> None: ...
+    targets: Handle.Targets
+    def __init__(self, id: _Optional[str] = ..., region: _Optional[_Union[Region, _Mapping]] = ..., constrains: _Optional[_Iterable[_Union[Handle.Constrains, str]]] = ..., stiffness: _Optional[float] = ..., rigid: bool = ..., pose: _Optional[_Union[HandlePose, _Mapping]] = ..., falloff: _Optional[_Union[Falloff, _Mapping]] = ..., targets: _Optional[_Union[Handle.Targets, _Mapping]] = ...) -> None: ...
 
 class Falloff(_message.Message):
     __slots__ = ("radius", "kind")
@@ -621,7 +646,7 @@ class SetHandlesRequest(_message.Message):
     def __init__(self, session_id: _Optional[str] = ..., handles: _Optional[_Iterable[_Union[Handle, _Mapping]]] = ..., symmetry_plane: _Optional[_Union[Plane, _Mapping]] = ..., region_of_interest: _Optional[_Union[Region, _Mapping]] = ..., stiff: _Optional[_Union[Stiff, _Mapping]] = ...) -> None: ...
 
 class Pose(_message.Message):
-    __slots__ = ("seq", "handles", "commit", "idempotency_key")
+    __slots__ = ("seq", "handles", "commit", "idempotency_key", "more")
     class Entry(_message.Message):
         __slots__ = ("id", "pose")
         ID_FIELD_NUMBER: _ClassVar[int]
@@ -633,11 +658,13 @@ class Pose(_message.Message):
     HANDLES_FIELD_NUMBER: _ClassVar[int]
     COMMIT_FIELD_NUMBER: _ClassVar[int]
     IDEMPOTENCY_KEY_FIELD_NUMBER: _ClassVar[int]
+    MORE_FIELD_NUMBER: _ClassVar[int]
     seq: int
     handles: _containers.RepeatedCompositeFieldContainer[Pose.Entry]
     commit: bool
     idempotency_key: str
-    def __init__(self, seq: _Optional[int] = ..., handles: _Optional[_Iterable[_Union[Pose.Entry, _Mapping]]] = ..., commit: bool = ..., idempotency_key: _Optional[str] = ...) -> None: ...
+    more: bool
+    def __init__(self, seq: _Optional[int] = ..., handles: _Optional[_Iterable[_Union[Pose.Entry, _Mapping]]] = ..., commit: bool = ..., idempotency_key: _Optional[str] = ..., more: bool = ...) -> None: ...
 
 class Output(_message.Message):
     __slots__ = ("normals", "tangents", "changed_only", "encoding", "self_intersections")
