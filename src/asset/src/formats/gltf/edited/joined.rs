@@ -101,11 +101,13 @@ impl<'a> BaseJoiner<'_, 'a> {
         }
         let grown = self.has_grown(base) && !notes.rows.iter().any(|row| has_targets(&doc, row.node, row.primitive));
         let node_for = |transform: &DAffine3| Some(transform).filter(|_| !grown).and_then(NodeTransform::from_affine);
-        let placed = node_for(&placing);
         let scene = scene::place_meshes(&doc, &mut Vec::new())?;
         let mut skeleton = SkeletonJoiner::new(self.skeleton, &doc, &scene, placing);
         let name = name_of(&model.files, base);
         let skin_of = skins_of_nodes(notes, runs);
+        // Nodes with skins are roots; those without stand among them where there are some, so that vertices keep their order.
+        let all_roots = skin_of.values().any(Option::is_some);
+        let placed = node_for(&placing).filter(|_| !all_roots);
         let needs_root = skin_of
             .values()
             .any(|skin| skin.is_none_or(|skin| !skeleton.has_all(skin)));
@@ -158,7 +160,11 @@ impl<'a> BaseJoiner<'_, 'a> {
             }
             let mesh = self.joined.meshes.len() - 1;
             let Some(skin) = skin else {
-                children.push(self.add_node(node, Some(mesh)));
+                let node = self.add_node(node, Some(mesh));
+                match all_roots {
+                    true => self.joined.roots.push(node),
+                    false => children.push(node),
+                }
                 continue;
             };
             let top = WrittenNode {
