@@ -74,7 +74,11 @@ fn what_would_collapse_into_nothing_is_not_written() {
     for format in [Format::GLB, Format::GLTF] {
         let written = model.write(&model.positions, format).expect("numbers of its own size");
         let again = read_back(&written, format);
-        let off = again.positions.iter().zip(&model.positions).map(|(a, b)| a.distance(*b));
+        let off = again
+            .positions
+            .iter()
+            .zip(&model.positions)
+            .map(|(a, b)| a.distance(*b));
         assert!(off.fold(0.0, f64::max) < 1e-6, "{format}");
     }
     for format in [Format::OBJ, Format::PLY, Format::OFF, Format::GLB, Format::GLTF] {

@@ -17,7 +17,7 @@ pub enum PairKind {
     New,
     /// They cross in the rest pose too.
     AtRest,
-    /// They do not cross at rest, and all of their corners are held: no deformation of what is free parts them.
+    /// They do not cross in the rest pose, and all of their corners are held: no deformation of what is free parts them.
     Held,
 }
 

@@ -87,15 +87,11 @@ impl FormatCodec for StlCodec {
     fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         let EditedOutput { edited, positions, .. } = *output;
         let first = edited.bases.first().map(|base| base.model);
-        let (written, rounded) = match first.filter(|model| is_text(model)) {
-            Some(first) => (
-                write_edited_text(edited, positions, newline_of(&first.files.main)),
-                None,
-            ),
-            None => (
-                write_edited_binary(edited, positions),
-                WrittenWarning::rounded(positions, FORMAT),
-            ),
+        let text = first.filter(|model| is_text(model));
+        let rounded = WrittenWarning::rounded(positions, FORMAT).filter(|_| text.is_none());
+        let written = match text {
+            Some(first) => write_edited_text(edited, positions, newline_of(&first.files.main)),
+            None => write_edited_binary(edited, positions),
         };
         let parts = edited.runs.iter().map(|run| (edited.primitive(run), run.vertices()));
         let bare = bare_points(parts, edited.triangles, positions.len()).into_iter();
@@ -156,11 +152,8 @@ fn recognise(bytes: &[u8]) -> Recognition {
 fn begins_a_solid(bytes: &[u8]) -> bool {
     let mut rest = without_mark(bytes).trim_ascii_start();
     while begins_a_comment(rest) {
-        let end = rest
-            .iter()
-            .position(|b| matches!(b, b'\n' | b'\r'))
-            .unwrap_or(rest.len());
-        rest = rest[end..].trim_ascii_start();
+        let line = rest.split(|b| matches!(b, b'\n' | b'\r')).next().unwrap_or_default();
+        rest = rest[line.len()..].trim_ascii_start();
     }
     let word = rest.get(..5);
     word.is_some_and(|word| word.eq_ignore_ascii_case(b"solid"))

@@ -268,6 +268,18 @@ impl BlendedSkin {
         Ok(VertexTransforms::of_influences(&influences, of_joint))
     }
 
+    /// Scales the weights of each vertex to the sum 1, as they are drawn.
+    pub(super) fn normalise(&mut self) {
+        for first in (0..self.weights.first().map_or(0, Vec::len)).step_by(4) {
+            let own = |set: &Vec<f32>| set[first..first + 4].iter().map(|w| f64::from(*w)).sum::<f64>();
+            let sum: f64 = self.weights.iter().map(own).sum();
+            if sum > 0.0 {
+                let weights = self.weights.iter_mut().flat_map(|set| &mut set[first..first + 4]);
+                weights.for_each(|weight| *weight = (f64::from(*weight) / sum) as f32);
+            }
+        }
+    }
+
     /// Writes all sets.
     pub(super) fn write(&self, fresh: &mut BufferBuilder, attributes: &mut AccessorNumbers) {
         for (n, (joints, weights)) in self.joints.iter().zip(&self.weights).enumerate() {

@@ -89,7 +89,11 @@ impl<'a> PrimitiveMaker<'a, '_> {
         let carried = CarriedAttributes::new(self.edited, run, self.positions);
         let mixer = AttributeBlender::new(self.edited, run);
         let skin = if self.joins_skin || self.is_frame && !untouched {
-            BlendedSkin::read(doc, primitive, &mixer, &row.placement)?
+            let mut skin = BlendedSkin::read(doc, primitive, &mixer, &row.placement)?;
+            if self.joins_skin {
+                skin.iter_mut().for_each(BlendedSkin::normalise);
+            }
+            skin
         } else {
             None
         };
