@@ -166,10 +166,9 @@ mod tests {
             .into();
         let mut triangles = vec![[0, 1, 2]];
         for (k, tip) in tips.iter().enumerate() {
-            let x = k as f64;
+            let (x, y) = ((k % 15) as f64, (k / 15) as f64 * 0.2);
             let first = points.len() as u32;
-            points
-                .extend([[x, 0.0, tip - 2.0], [x + 0.5, 0.0, tip - 2.0], [x + 0.25, 0.0, *tip]].map(DVec3::from_array));
+            points.extend([[x, y, tip - 2.0], [x + 0.5, y, tip - 2.0], [x + 0.25, y, *tip]].map(DVec3::from_array));
             triangles.push([first, first + 1, first + 2]);
         }
         (points, triangles)

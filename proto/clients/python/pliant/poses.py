@@ -187,6 +187,9 @@ def lay_on(poses: dict[str, pb.HandlePose], newer: Mapping[str, pb.HandlePose]) 
             continue
         whole = pb.HandlePose()
         whole.CopyFrom(pose)
+        if pose.targets.HasField("first") and not _joined(before.targets, pose.targets, whole.targets):
+            poses[handle] = whole
+            continue
         is_part = pose.targets.HasField("first") and not before.targets.HasField("first")
         for name, size in (("positions", 12), ("weights", 4)):
             old, new = getattr(before.targets, name), getattr(pose.targets, name)
@@ -200,6 +203,20 @@ def lay_on(poses: dict[str, pb.HandlePose], newer: Mapping[str, pb.HandlePose]) 
         if is_part:
             whole.targets.ClearField("first")
         poses[handle] = whole
+
+
+def _joined(before: pb.VertexTargets, part: pb.VertexTargets, into: pb.VertexTargets) -> bool:
+    """Joins a part to the part before it; whether there is more to do, because that is a whole set."""
+    if not before.HasField("first") and before.positions:
+        return True
+    skipped = part.first - before.first
+    for name, size in (("positions", 12), ("weights", 4)):
+        old, new = getattr(before, name), getattr(part, name)
+        if bool(old) != bool(new) or not 0 <= size * skipped <= len(old):
+            raise ValueError("targets sent in parts have to follow each other, with the same lists; send the whole set")
+        setattr(into, name, old[: size * skipped] + new + old[size * skipped + len(new) :])
+    into.first = before.first
+    return False
 
 
 def pose_message(by_handle: Mapping[str, pb.HandlePose], seq: int = 0) -> pb.Pose:

@@ -79,7 +79,6 @@ impl FormatCodec for StlCodec {
         })
     }
 
-    /// Facets need nothing of the first base but its header.
     fn edits(&self, _: Format) -> bool {
         true
     }
@@ -94,11 +93,12 @@ impl FormatCodec for StlCodec {
             None => write_edited_binary(edited, positions),
         };
         let parts = edited.runs.iter().map(|run| (edited.primitive(run), run.vertices()));
-        let bare = bare_points(parts, edited.triangles, positions.len()).into_iter();
-        Ok(WrittenFiles {
-            warnings: bare.chain(rounded).collect(),
-            ..WrittenFiles::single(written?)
-        })
+        let mut written = WrittenFiles::single(written?);
+        written
+            .warnings
+            .extend(bare_points(parts, edited.triangles, positions.len()));
+        written.warnings.extend(rounded);
+        Ok(written)
     }
 
     /// Which solid a facet is of, or its attribute.
@@ -159,7 +159,7 @@ fn begins_a_solid(bytes: &[u8]) -> bool {
     word.is_some_and(|word| word.eq_ignore_ascii_case(b"solid"))
 }
 
-/// Comments are in no standard; some programs write them above a solid.
+/// Some programs write comments above a solid.
 fn begins_a_comment(line: &[u8]) -> bool {
     [&b"#"[..], b"//", b";"].iter().any(|mark| line.starts_with(mark))
 }
