@@ -212,6 +212,8 @@ def _joined(before: pb.VertexTargets, part: pb.VertexTargets, into: pb.VertexTar
     skipped = part.first - before.first
     for name, size in (("positions", 12), ("weights", 4)):
         old, new = getattr(before, name), getattr(part, name)
+        if not old and not new:
+            continue
         if bool(old) != bool(new) or not 0 <= size * skipped <= len(old):
             raise ValueError("targets sent in parts have to follow each other, with the same lists; send the whole set")
         setattr(into, name, old[: size * skipped] + new + old[size * skipped + len(new) :])

@@ -65,13 +65,9 @@ impl FormatCodec for StlCodec {
     }
 
     fn build(&self, neutral: &NeutralModel, _: Format) -> Result<WrittenFiles, Error> {
-        let Geometry {
-            triangles,
-            positions,
-            primitives,
-            ..
-        } = &neutral.geometry;
-        let parts = primitives.iter().map(|own| (own, own.vertices()));
+        let geometry = &neutral.geometry;
+        let (triangles, positions) = (&geometry.triangles, &geometry.positions);
+        let parts = geometry.primitives.iter().map(|own| (own, own.vertices()));
         let bare = bare_points(parts, triangles, positions.len()).into_iter();
         Ok(WrittenFiles {
             warnings: bare.chain(WrittenWarning::rounded(positions, FORMAT)).collect(),
