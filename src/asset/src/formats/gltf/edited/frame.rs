@@ -164,8 +164,8 @@ fn primitive_text(
         text = maker.with_outline(run, &text)?;
         text = maker.with_feature_numbers(run, &text, &mut made.attributes);
         text = with_member(&text, "indices", indices);
-        if value_of(&text, "mode").is_some() && made.mode.is_none() {
-            text = with_member(&text, "mode", "4");
+        if value_of(&text, "mode").is_some() {
+            text = with_member(&text, "mode", made.mode.unwrap_or(4));
         }
     }
     if !made.targets.is_empty() {

@@ -300,12 +300,13 @@ impl AvatarLengths {
                     let (was, is) = (&scene.world_from_node[place.node], &now[place.node]);
                     let local = invert(is)?.transform_point3(moved);
                     let is_same = was.transform_vector3(local - place.local).length() <= SAME * size;
-                    (local.is_finite() && !is_same).then(|| form.write(local))
+                    (local.as_vec3().is_finite() && !is_same).then(|| form.write(local))
                 }
                 MeasureKind::Length(length) => {
                     let growth = own.map(|(_, fit)| fit.growth).sum::<f64>() / measure.places.len() as f64;
                     let is_same = (growth - 1.0).abs() <= SAME;
-                    (growth.is_finite() && !is_same).then(|| format!("{}", (length * growth) as f32))
+                    let grown = (length * growth) as f32;
+                    (grown.is_finite() && !is_same).then(|| format!("{grown}"))
                 }
             }
         };
