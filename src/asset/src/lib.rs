@@ -45,7 +45,7 @@ pub use following::{
     ShapeFollowers,
 };
 pub use format::{Error, Format};
-pub use formats::{SplatFrame, SplatFrames, Splats, gltf_extension_table};
+pub use formats::{Splats, gltf_extension_table};
 pub use geometry::{Geometry, Primitive, VertexCache};
 pub use look::{AlphaMode, BaseMaterial, DrawnModel, SurfaceLook, TextureUse, TextureWrap};
 pub use model::Model;

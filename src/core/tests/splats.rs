@@ -1,14 +1,12 @@
 //! Gaussian splats carried along with a posed model.
 
 use glam::{DMat3, DQuat, DVec3};
-use pliant_core::asset::{FileSet, Format, Limits, SplatFrame, SplatFrames, Splats, shapes};
+use pliant_core::asset::{FileSet, Format, Limits, Splats, shapes};
 use pliant_core::engine::{
     CarriedModel, Deformer, DeformerLimits, Handle, HandlePose, OpenOptions, Region, SolveSettings,
 };
 use pliant_core::exec::Exec;
-use pliant_core::mesh::carry::{
-    CarriedFrame, CarriedPoints, CarriedSpace, CarrySurface, SampleRows, SurfaceCarrier, SurfaceMotion,
-};
+use pliant_core::mesh::carry::{CarriedFrame, CarriedSpace, SurfaceCarrier};
 use pliant_core::mesh::rotation::exp_rotation;
 use pliant_core::pool::Pool;
 use pliant_core::progress::Silent;
@@ -206,15 +204,7 @@ fn the_gradient_inside_and_on_a_stretched_body_is_that_of_the_stretch() {
         let middle = |face: &[u32; 3]| face.iter().map(|&v| rest[v as usize]).sum::<DVec3>() / 3.0;
         let on: Vec<DVec3> = faces.iter().map(middle).collect();
         let inside: Vec<DVec3> = on.iter().map(|p| *p * 0.05).collect();
-        let surface = CarrySurface::build(&rest, &faces, &pool);
-        let motion = SurfaceMotion::between(&surface, &now, &pool);
-        let bound = CarriedPoints::bind(&surface, &on, &exec).expect("bound");
         let there = carrier.carry_spaces(&stretch, &on, &exec).expect("carried");
-        assert_eq!(
-            bound.spaces_by(&motion, &stretch, &pool),
-            there,
-            "{name}: bound once or not"
-        );
         for (face, space) in faces.iter().zip(&there) {
             let [a, b, c] = face.map(|v| v as usize);
             let edge = rest[b] - rest[a];
@@ -248,65 +238,4 @@ fn splats_are_no_model_and_no_mesh() {
         let refused = deformer.carry_model(&rest, carried(files, Some(output)), &exec);
         assert!(refused.expect_err("refused").to_string().contains("Gaussian splats"));
     }
-}
-
-#[test]
-fn frames_are_where_files_have_the_splats_and_the_same_for_any_threads() {
-    let results = [1, 3].map(|threads| {
-        let pool = Pool::new(threads).expect("threads");
-        let exec = Exec::new(&pool, &Silent);
-        let (rest, faces) = shapes::box_with_cells(DVec3::new(0.5, 4.0, 0.5), [4, 32, 4]);
-        let rest: Vec<DVec3> = rest.iter().map(|p| *p - DVec3::new(0.25, 0.0, 0.25)).collect();
-        // Bent and stretched; what is far beside it follows parts that contradict each other.
-        let now = |p: &DVec3| {
-            let (sine, cosine) = (0.6 * p.y).sin_cos();
-            DVec3::new((2.0 - p.x) * cosine - 2.0, (2.0 - p.x) * sine * 1.5, p.z)
-        };
-        let now: Vec<DVec3> = rest.iter().map(now).collect();
-        let (_, _, mut centers) = bar();
-        centers.extend([DVec3::new(9.0, 2.0, 3.0), DVec3::new(-4.0, 2.0, 0.0)]);
-        let splats = Splats::read(
-            FileSet::single("splats.ply", splats_at(&centers, 0.03)),
-            Format::PLY,
-            &Limits::default(),
-            &Silent,
-        );
-        let mut splats = splats.expect("splats");
-        let surface = CarrySurface::build(&rest, &faces, &pool);
-        let carrier = SurfaceCarrier::new(&faces, &rest, &now, &pool);
-        let stretch = carrier.stretch(&pool);
-        let frames = SplatFrames::bind(&splats, &surface, &exec).expect("bound");
-        let rows = SampleRows::new(SurfaceMotion::between(&surface, &now, &pool), stretch.clone(), &pool);
-        let mut out = vec![SplatFrame::default(); splats.len()];
-        frames.write(&rows, &mut out, &pool);
-        let spaces = carrier
-            .carry_spaces(&stretch, splats.centers(), &exec)
-            .expect("carried");
-        splats.carry(0, &spaces, &pool);
-        let exact = rows_of(&splats);
-        for (i, (frame, row)) in out.iter().zip(&exact).enumerate() {
-            let covariance = |turn: DQuat, scale: DVec3| {
-                let axes = DMat3::from_quat(turn) * DMat3::from_diagonal(scale);
-                axes * axes.transpose()
-            };
-            let [x, y, z, w] = frame.turn.map(f64::from);
-            let own = covariance(
-                DQuat::from_xyzw(x, y, z, w),
-                DVec3::from_array(frame.scale.map(f64::from)),
-            );
-            let scale = DVec3::new(row[7].exp(), row[8].exp(), row[9].exp());
-            let wanted = covariance(DQuat::from_xyzw(row[11], row[12], row[13], row[10]).normalize(), scale);
-            let size = |m: DMat3| m.to_cols_array().into_iter().map(f64::abs).fold(0.0, f64::max);
-            assert!(size(own - wanted) < 1e-4 * size(wanted), "splat {i}: {own} {wanted}");
-            let center = DVec3::from_array(frame.center.map(f64::from));
-            assert!(center.distance(DVec3::from_slice(row)) < 1e-5, "splat {i}");
-        }
-        out
-    });
-    assert!(results[0] == results[1]);
-}
-
-/// The numbers of splats as a text has them.
-fn rows_of(splats: &Splats) -> Vec<Vec<f64>> {
-    rows(&splats.write(Format::PLY).expect("written").main)
 }

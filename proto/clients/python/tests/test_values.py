@@ -427,6 +427,13 @@ def test_targets_are_laid_on_those_that_a_handle_has() -> None:
     assert np.frombuffer(whole.positions, "<f4").tolist() == [0, 1, 2, 3, 4, 5, 0, 0, 0, 9, 10, 11]
     assert np.frombuffer(whole.weights, "<f4").tolist() == [1, 2, 3, 4]
     assert not whole.HasField("first")
+    # Parts that follow each other are one, the way a stream takes them.
+    held = entries({"scan": pliant.Targets(np.zeros((2, 3)), first=0)})
+    lay_on(held, entries({"scan": pliant.Targets(np.ones((1, 3)), first=2)}))
+    whole = held["scan"].targets
+    assert (whole.first, np.frombuffer(whole.positions, "<f4").tolist()) == (0, [0] * 6 + [1] * 3)
+    with pytest.raises(ValueError, match="follow each other"):
+        lay_on(held, entries({"scan": pliant.Targets(np.ones((1, 3)), first=7)}))
     with pytest.raises(ValueError, match="positions"):
         entries({"scan": pliant.Targets([[1, 2]])})
     with pytest.raises(ValueError, match="weights"):

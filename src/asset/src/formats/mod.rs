@@ -48,8 +48,8 @@ mod splats;
 mod stl;
 mod text;
 
+pub use splats::Splats;
 pub(super) use splats::refuse_as_model;
-pub use splats::{SplatFrame, SplatFrames, Splats};
 
 use crate::Error;
 use crate::codec::{FormatCodec, FormatTranslator};

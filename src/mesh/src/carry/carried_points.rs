@@ -102,51 +102,19 @@ impl CarriedPoints {
     /// # Panics
     /// When `motion` is of a surface with fewer samples.
     pub fn carried_by(&self, motion: &SurfaceMotion, pool: &Pool) -> Vec<CarriedFrame> {
+        let carry_point = |i: usize| {
+            let followed = self.first[i]..self.first[i + 1];
+            let samples = self.samples[followed.clone()]
+                .iter()
+                .zip(&self.weights[followed.clone()]);
+            match followed.is_empty() {
+                true => CarriedFrame::resting(self.points[i]),
+                false => motion.carry_along(self.points[i], self.levers[i], samples.map(|(&s, &w)| (s, w))),
+            }
+        };
         pool.install(|| {
             let points = (0..self.points.len()).into_par_iter().with_min_len(BATCH);
-            points.map(|i| self.frame_by(i, motion)).collect()
-        })
-    }
-
-    fn frame_by(&self, i: usize, motion: &SurfaceMotion) -> CarriedFrame {
-        match self.first[i] == self.first[i + 1] {
-            true => CarriedFrame::resting(self.points[i]),
-            false => motion.carry_along(self.points[i], self.levers[i], self.followed(i)),
-        }
-    }
-
-    /// The samples that a point follows, with weights.
-    pub(super) fn followed(&self, i: usize) -> impl Iterator<Item = (u32, f64)> {
-        let own = self.first[i]..self.first[i + 1];
-        let samples = self.samples[own.clone()].iter().copied();
-        samples.zip(self.weights[own].iter().copied())
-    }
-
-    /// Where a point is in the rest pose.
-    pub fn point(&self, i: usize) -> DVec3 {
-        self.points[i]
-    }
-
-    /// From the mean place of what a point follows to the point.
-    pub(super) fn lever(&self, i: usize) -> DVec3 {
-        self.levers[i]
-    }
-
-    /// One point, as [`CarriedPoints::spaces_by`] carries it.
-    pub(super) fn space_by(&self, i: usize, motion: &SurfaceMotion, stretch: &SurfaceStretch) -> CarriedSpace {
-        let frame = self.frame_by(i, motion);
-        stretch.around(motion, frame, self.points[i], || self.followed(i))
-    }
-
-    /// As [`CarriedPoints::carried_by`], each with the gradient of the motion around it, for what has an extent. `stretch` must be
-    /// that of `motion`.
-    ///
-    /// # Panics
-    /// As there.
-    pub fn spaces_by(&self, motion: &SurfaceMotion, stretch: &SurfaceStretch, pool: &Pool) -> Vec<CarriedSpace> {
-        pool.install(|| {
-            let points = (0..self.points.len()).into_par_iter().with_min_len(BATCH);
-            points.map(|i| self.space_by(i, motion, stretch)).collect()
+            points.map(carry_point).collect()
         })
     }
 

@@ -15,12 +15,10 @@
 //! for one.
 
 mod carried_points;
-mod lanes;
 mod motion;
 mod stretch;
 
 pub use carried_points::{CarriedPoints, SurfaceCarrier};
-pub use lanes::{LANES, Lane, LaneSpaces, SampleRows};
 pub use motion::CarrySurface;
 pub use motion::{CarriedFrame, SurfaceMotion};
 pub use stretch::{CarriedSpace, SurfaceStretch};

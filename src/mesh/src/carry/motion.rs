@@ -75,16 +75,6 @@ impl SurfaceMotion {
         self.samples[vertex].displacement
     }
 
-    /// A sample's displacement, mean rotation and logarithm of its growth.
-    pub(super) fn sample(&self, sample: usize) -> (DVec3, DMat3, f64) {
-        let SampleMotion {
-            displacement,
-            rotation,
-            log_scale,
-        } = self.samples[sample];
-        (displacement, rotation, log_scale)
-    }
-
     /// How much the rotations of `samples` agree, 0 to 1: the size of their mean.
     pub(super) fn agreement(&self, samples: impl Iterator<Item = (u32, f64)>) -> f64 {
         let mut mean = DMat3::ZERO;

@@ -102,17 +102,6 @@ impl SurfaceStretch {
         Self { samples }
     }
 
-    /// Number of samples.
-    pub(super) fn samples(&self) -> usize {
-        self.samples.len()
-    }
-
-    /// The sums of a sample's fit: moved, and in the rest pose.
-    pub(super) fn sample(&self, sample: usize) -> (DMat3, DMat3) {
-        let SampleStretch { moved, rest } = self.samples[sample];
-        (moved, rest)
-    }
-
     /// The gradient at `point`, which follows `samples` and has been carried to `frame`.
     pub(super) fn around<I: Iterator<Item = (u32, f64)>>(
         &self,

@@ -32,7 +32,19 @@ impl<'a> PlyBody<'a> {
         }
     }
 
-    pub fn bytes_left(&self) -> u64 {
+    /// Refuses an element whose rows cannot fit into what is left, before memory is taken for them.
+    pub fn require_rows_of(&self, element: &PlyElement, encoding: PlyEncoding) -> Result<(), Error> {
+        let (least, left) = (element.least_bytes(encoding), self.bytes_left());
+        let (name, rows) = (&element.name, element.rows);
+        match least > left {
+            true => Err(self.malformed(format!(
+                "{rows} rows of `{name}` take {least} bytes at least, {left} are left"
+            ))),
+            false => Ok(()),
+        }
+    }
+
+    fn bytes_left(&self) -> u64 {
         match self {
             // The last word needs no blank after it.
             Self::Text(lexer) => lexer.bytes_left() as u64 + 1,
@@ -313,7 +325,7 @@ pub(in crate::formats) struct PlyElement {
 
 impl PlyElement {
     /// The fewest bytes that its rows can take.
-    pub fn least_bytes(&self, encoding: PlyEncoding) -> u64 {
+    fn least_bytes(&self, encoding: PlyEncoding) -> u64 {
         let row: usize = match encoding {
             PlyEncoding::Ascii => self.properties.len() * 2,
             _ => self

@@ -79,13 +79,7 @@ pub(super) fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, Ply
     let mut faces = Polygons::default();
     let mut strays = 0;
     for element in &header.elements {
-        let (least, left) = (element.least_bytes(header.encoding), body.bytes_left());
-        if least > left {
-            let (name, rows) = (&element.name, element.rows);
-            return Err(body.malformed(format!(
-                "{rows} rows of `{name}` take {least} bytes at least, {left} are left"
-            )));
-        }
+        body.require_rows_of(element, header.encoding)?;
         match element.name.as_str() {
             "vertex" => {
                 notes.vertices_at = body.next_place();

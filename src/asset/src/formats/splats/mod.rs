@@ -3,7 +3,6 @@
 //! A file comes back in its own format with the numbers changed that the motion changed, or as a fresh file of another one.
 
 mod cloud;
-mod frames;
 mod harmonics;
 mod ply;
 mod records;
@@ -12,7 +11,6 @@ mod spz;
 mod tests;
 
 pub use cloud::Splats;
-pub use frames::{SplatFrame, SplatFrames};
 
 use super::list_of;
 use crate::files::{ReadWatch, check_main_size, counted};

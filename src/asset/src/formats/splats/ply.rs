@@ -97,13 +97,7 @@ fn degree_of(numbers: &[Option<SplatNumber>]) -> Result<u8, Error> {
 fn body_at_vertices<'a>(bytes: &'a [u8], header: &PlyHeader) -> Result<PlyBody<'a>, Error> {
     let mut body = PlyBody::starting_at(bytes, header.encoding, header.body.0, header.body.1);
     for element in &header.elements {
-        let (least, left) = (element.least_bytes(header.encoding), body.bytes_left());
-        if least > left {
-            let (name, rows) = (&element.name, element.rows);
-            return Err(body.malformed(format!(
-                "{rows} rows of `{name}` take {least} bytes at least, {left} are left"
-            )));
-        }
+        body.require_rows_of(element, header.encoding)?;
         if element.name == "vertex" {
             break;
         }
