@@ -14,7 +14,9 @@ pub enum StiffnessPer {
 /// Where a pose wants vertices of a handle with targets.
 ///
 /// ```
-/// /// let all = VertexTargets::of([[0.0, 1.0, 0.0], [1.0, 1.0, 0.0]]).weighted([1.0, 0.5]);
+/// use pliant_core::engine::VertexTargets;
+///
+/// let all = VertexTargets::of([[0.0, 1.0, 0.0], [1.0, 1.0, 0.0]]).weighted([1.0, 0.5]);
 /// assert_eq!((all.first, all.positions.len()), (None, 2));
 /// ```
 #[derive(Debug, Clone, PartialEq, Default)]
