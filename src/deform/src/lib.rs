@@ -54,6 +54,7 @@
 //! | `pose` | what a pose is to come to: [`PoseRequest`], [`Quality`], [`SolvedNodes`] |
 //! | `solve` | [`HandleSystem::solve`], which does both passes |
 //! | `second_pass` | equation (8), fitting rotations to its result, and poses of a drag |
+//! | `guides` | curves, lattices and cages whose shape says where vertices are wanted |
 //! | `thin_faces` | needles and caps, which follow the shape around them |
 //! | `folds` | faces that turned over, brought back where nothing forces them |
 //! | `surface_faults` | folds and crossings of a shape, counted |
@@ -67,6 +68,7 @@ mod fields;
 mod first_pass;
 mod fold_suspects;
 mod folds;
+mod guides;
 mod handles;
 mod pose;
 mod rotation;
@@ -82,6 +84,7 @@ pub use fields::HarmonicFields;
 pub use first_pass::{LocalFrame, LocalRotation, PoseBlend, frames, pack_rotation};
 pub use fold_suspects::RestFaces;
 pub use folds::{FaceChanges, FaceSurroundings, unfold_faces, unfold_suspects};
+pub use guides::{BoundGuide, Guide, GuidePose, GuideProblem};
 pub use handles::{
     FreePartPolicy, HandleConstraint, HandleMotion, HandleSetup, HandleShares, HandleSystem, HoldTargets,
     NodeOwnership, StiffNodes, UNHELD, carry, shares_difference,
