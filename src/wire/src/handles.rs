@@ -3,14 +3,16 @@
 //! Changes of single fields of one handle.
 
 use super::check::{enumerated, number, optional_within, plane, points, positive, vector};
+use super::guides::{guide, guide_message};
 use super::poses::{handle_pose, handle_pose_message};
 use super::{Error, pb};
 use glam::DVec3;
 use pliant_core::engine::{
-    DefaultPivot, Falloff, FalloffCurve, Handle, HandleConstrains, HandlePose, HandleSet, MOST_TUBE_POINTS, Plane,
-    Region, Stiff, StiffnessPer, VertexRange,
+    DefaultPivot, Falloff, FalloffCurve, Guide, Handle, HandleConstrains, HandlePose, HandleSet, MOST_TUBE_POINTS,
+    Plane, Region, Stiff, StiffnessPer, VertexRange,
 };
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 /// Reads a set of handles.
 ///
@@ -100,15 +102,17 @@ fn handle(handle: &pb::Handle, field: &str) -> Result<Handle, Error> {
     Ok(Handle {
         id: handle.id.clone(),
         region,
-        constrains: match (&handle.targets, &handle.constrains[..]) {
-            (Some(_), []) => POSITION_ALONE,
-            (_, named) => handle_constrains(named, &format!("{field}.constrains"))?,
+        constrains: match &handle.constrains[..] {
+            [] if handle.targets.is_some() || handle.guide.is_some() => POSITION_ALONE,
+            named => handle_constrains(named, &format!("{field}.constrains"))?,
         },
         stiffness: handle_stiffness(handle.stiffness, &format!("{field}.stiffness"))?,
         rigid: handle.rigid,
         pose,
         falloff: handle_falloff(handle.falloff.as_ref(), &format!("{field}.falloff"))?,
-        targets: handle_targets(handle.targets.as_ref(), &format!("{field}.targets"))?,
+        targets: handle_targets(handle.targets.as_ref(), &format!("{field}.targets"))?
+            .or(handle.guide.as_ref().map(|_| StiffnessPer::Vertex)),
+        guide: guide(handle.guide.as_ref(), &format!("{field}.guide"))?,
     })
 }
 
@@ -287,6 +291,7 @@ fn handle_message(handle: &Handle) -> pb::Handle {
                 FalloffCurve::Smooth => pb::falloff::Kind::Smooth.into(),
             },
         }),
+        guide: handle.guide.as_deref().map(guide_message),
         targets: handle.targets.map(|per| pb::handle::Targets {
             stiffness_per: match per {
                 StiffnessPer::Vertex => pb::handle::targets::StiffnessPer::Vertex.into(),
@@ -361,6 +366,8 @@ pub struct HandlePatch {
     pub falloff: Option<Option<Falloff>>,
     /// Whether it has targets, and what its stiffness is for then; the inner `None` is none.
     pub targets: Option<Option<StiffnessPer>>,
+    /// What gives their places; the inner `None` is nothing.
+    pub guide: Option<Option<Arc<Guide>>>,
 }
 
 /// Reads the fields of `message` that `fields` names in JSON names. `current` are the handles in force: an error names the
@@ -379,6 +386,7 @@ pub fn handle_patch(message: &pb::Handle, fields: &[String], current: &HandleSet
         pose,
         falloff: new_falloff,
         targets,
+        guide: new_guide,
     } = message;
     let index = current.handles.iter().position(|h| h.id == *id);
     let old = index.and_then(|k| current.handles.get(k));
@@ -410,9 +418,16 @@ pub fn handle_patch(message: &pb::Handle, fields: &[String], current: &HandleSet
     }
     if named("targets") {
         patch.targets = Some(handle_targets(targets.as_ref(), &at("targets"))?);
-        if targets.is_some() && (old.is_none() || named("constrains")) && new_constrains.is_empty() {
-            patch.constrains = Some(POSITION_ALONE);
+    }
+    if named("guide") {
+        patch.guide = Some(guide(new_guide.as_ref(), &at("guide"))?);
+        if new_guide.is_some() && old.is_none_or(|old| old.targets.is_none()) && patch.targets.is_none() {
+            patch.targets = Some(Some(StiffnessPer::Vertex));
         }
+    }
+    let has_targets = matches!(patch.targets, Some(Some(_)));
+    if has_targets && (old.is_none() || named("constrains")) && new_constrains.is_empty() {
+        patch.constrains = Some(POSITION_ALONE);
     }
     Ok(patch)
 }
@@ -430,6 +445,7 @@ impl HandlePatch {
             pose,
             falloff,
             targets,
+            guide,
         } = self;
         if let Some(region) = region {
             handle.region = region;
@@ -442,6 +458,9 @@ impl HandlePatch {
         }
         handle.falloff = falloff.unwrap_or(handle.falloff);
         handle.targets = targets.unwrap_or(handle.targets);
+        if let Some(guide) = guide {
+            handle.guide = guide;
+        }
     }
 }
 

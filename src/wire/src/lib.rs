@@ -13,6 +13,7 @@ mod crossings;
 mod edit;
 mod facts;
 pub mod frames;
+mod guides;
 mod handles;
 pub mod json;
 mod made_rig;

@@ -1,6 +1,7 @@
 //! Poses as messages and as values of the engine, and what a client sends along a deform stream.
 
 use super::check::vector;
+use super::guides::{guide_pose, guide_pose_message};
 use super::options::DeformOptions;
 use super::vertex_targets::{vertex_targets, vertex_targets_message};
 use super::{Error, pb};
@@ -115,6 +116,9 @@ pub fn handle_pose(pose: &pb::HandlePose, field: &str) -> Result<HandlePose, Err
         targets: (pose.targets.as_ref())
             .map(|targets| vertex_targets(targets, &format!("{field}.targets")).map(Arc::new))
             .transpose()?,
+        guide: (pose.guide.as_ref())
+            .map(|shape| guide_pose(shape, &format!("{field}.guide")).map(Arc::new))
+            .transpose()?,
     })
 }
 
@@ -138,6 +142,7 @@ pub fn handle_pose_message(pose: &HandlePose) -> pb::HandlePose {
         pivot: vector(pose.pivot),
         free_rotation: pose.free_rotation,
         targets: pose.targets.as_deref().map(vertex_targets_message),
+        guide: pose.guide.as_deref().map(guide_pose_message),
     }
 }
 

@@ -409,13 +409,16 @@ pub(super) fn carry_handles(
             carried.warnings.push(lost_handle(k, &handle.id));
             continue;
         };
-        // Targets are of the vertices that were.
-        let kept = poses
-            .and_then(|poses| poses.get(k))
-            .filter(|_| handle.targets.is_none());
-        let pose = kept.map(|pose| HandlePose {
-            pivot: pose.pivot.or(Some(held.pivots[k])),
-            ..pose.clone()
+        let pose = poses.and_then(|poses| poses.get(k)).map(|pose| match handle.targets {
+            None => HandlePose {
+                pivot: pose.pivot.or(Some(held.pivots[k])),
+                ..pose.clone()
+            },
+            // Targets are of the vertices that were; a guide leads any.
+            Some(_) => HandlePose {
+                targets: None,
+                ..pose.clone()
+            },
         });
         carried.set.handles.push(Handle {
             region,

@@ -1,7 +1,7 @@
 //! Handles as a program asks for them: which region they hold, what they fix of it and how hard, and where they are.
 
 use super::vertex_targets::{StiffnessPer, VertexTargets};
-use crate::deform::{Transform, exp_rotation, log_rotation};
+use crate::deform::{Guide, GuidePose, Transform, exp_rotation, log_rotation};
 use glam::{DMat3, DQuat, DVec3};
 use std::sync::Arc;
 
@@ -31,6 +31,8 @@ pub struct Handle {
     /// Whether each vertex has a target of its own, which poses give ([`HandlePose::targets`]), and what the stiffness is for then.
     /// Such a handle is soft and constrains positions alone.
     pub targets: Option<StiffnessPer>,
+    /// Of a handle with targets, what gives their places for each pose of it ([`HandlePose::guide`]); `None`: poses list them.
+    pub guide: Option<Arc<Guide>>,
 }
 
 /// What a handle fixes of its vertices.
@@ -163,6 +165,7 @@ impl Handle {
             pose: None,
             falloff: None,
             targets: None,
+            guide: None,
         }
     }
 
@@ -201,7 +204,8 @@ impl HandleSet {
         let regions: usize = handles
             .map(|h| {
                 let targets = h.pose.as_ref().map_or(0, HandlePose::target_bytes);
-                size_of::<Handle>() + h.id.len() + h.region.byte_size() + targets
+                let guide = h.guide.as_ref().map_or(0, |guide| guide.byte_size());
+                size_of::<Handle>() + h.id.len() + h.region.byte_size() + targets + guide
             })
             .sum();
         let stiff = self.stiff.as_ref().map_or(0, Stiff::byte_size);
@@ -218,7 +222,10 @@ impl HandleSet {
             _ => 1,
         };
         // A falloff goes from node to node, nearest first.
-        let of_handle = |h: &Handle| of_region(&h.region) + if h.falloff.is_some() { 8 } else { 0 };
+        let of_handle = |h: &Handle| {
+            let guide = h.guide.as_ref().map_or(0, |guide| guide.cost());
+            of_region(&h.region) + if h.falloff.is_some() { 8 } else { 0 } + guide
+        };
         let each: u64 = self.handles.iter().map(of_handle).sum();
         let mirrored = if self.symmetry_plane.is_some() { 2 } else { 1 };
         let interest = self.region_of_interest.as_ref().map_or(0, of_region);
@@ -274,6 +281,8 @@ pub struct HandlePose {
     pub pivot: Option<DVec3>,
     /// Of a handle with targets, and all that it takes: where its vertices are wanted. `None`: in the rest pose, with weights of 1.
     pub targets: Option<Arc<VertexTargets>>,
+    /// Of a handle with a guide, its shape, which gives the places; `None`: its rest shape.
+    pub guide: Option<Arc<GuidePose>>,
 }
 
 /// How a handle is turned.
@@ -347,9 +356,18 @@ impl HandlePose {
         }
     }
 
-    /// Bytes of its targets.
+    /// Makes the pose of a handle with a guide.
+    pub fn guide(shape: GuidePose) -> Self {
+        Self {
+            guide: Some(Arc::new(shape)),
+            ..Self::default()
+        }
+    }
+
+    /// Bytes of its targets, and of the shape of its guide.
     pub fn target_bytes(&self) -> usize {
-        self.targets.as_ref().map_or(0, |targets| targets.byte_size())
+        let targets = self.targets.as_ref().map_or(0, |targets| targets.byte_size());
+        targets + self.guide.as_ref().map_or(0, |shape| shape.byte_size())
     }
 
     /// Returns whether the pose may move anything as a whole. A pivot alone does not.

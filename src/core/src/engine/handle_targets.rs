@@ -6,6 +6,7 @@ use super::resolved_handles::ResolvedHandles;
 use super::target_vertices::Pulls;
 use super::vertex_targets::VertexTargets;
 use crate::deform::{DeformableBody, HandleConstraint, HoldTargets};
+use crate::exec::Exec;
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -17,7 +18,7 @@ impl ResolvedHandles {
             let Some(pose) = handle
                 .pose
                 .clone()
-                .filter(|pose| pose.targets.is_some() || handle.targets.is_some())
+                .filter(|pose| pose.targets.is_some() || pose.guide.is_some() || handle.targets.is_some())
             else {
                 continue;
             };
@@ -37,6 +38,14 @@ impl ResolvedHandles {
         field: &str,
     ) -> Result<HandlePose, Error> {
         let id = &self.set.handles[handle].id;
+        match &self.targets[handle] {
+            Some(points) => points.check_guide(&pose, id, field)?,
+            None if pose.guide.is_some() => {
+                let problem = format!("is given, but handle \"{id}\" has no guide; a handle is set with it");
+                return Err(Error::invalid(format!("{field}.guide"), problem));
+            }
+            None => {}
+        }
         let (targets, points) = match (&pose.targets, &self.targets[handle]) {
             (None, None) => return Ok(pose),
             (Some(_), None) => {
@@ -90,12 +99,15 @@ impl ResolvedHandles {
         holds: &[HandleConstraint],
         body: &DeformableBody,
         rest: &[DVec3],
+        exec: &Exec<'_>,
     ) -> Vec<HoldTargets> {
         let none = VertexTargets::default();
         let with_points = self.targets.iter().enumerate().zip(poses);
         let some = with_points.filter_map(|((hold, points), pose)| {
             let targets = pose.targets.as_deref().unwrap_or(&none);
-            let Pulls { places, weights } = points.as_ref()?.pulls(&holds[hold], body, rest, targets);
+            let points = points.as_ref()?;
+            let led = points.led(pose, exec);
+            let Pulls { places, weights } = points.pulls(&holds[hold], body, rest, targets, led.as_deref());
             Some(HoldTargets { hold, places, weights })
         });
         some.collect()

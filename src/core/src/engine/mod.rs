@@ -59,7 +59,7 @@ mod topology_state;
 mod tube_region;
 mod vertex_targets;
 
-pub use crate::deform::{PoseStats, Quality, SolveUpdate};
+pub use crate::deform::{Guide, GuidePose, PoseStats, Quality, SolveUpdate};
 pub use crate::reference::Method;
 pub use animation::{
     ANIMATION_QUALITY, AnimatedFrame, Animation, AnimationLimits, BLOCK_FRAMES, BoundModel, ClipRequest, ClipSource,

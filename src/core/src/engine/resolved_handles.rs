@@ -96,8 +96,10 @@ pub(super) fn resolve_handles(
         }
         let at = format!("handles[{k}]");
         let mut hold = hold_nodes(body, handle, held, &at, context.exec)?;
-        let targets = (handle.targets).map(|per| TargetVertices::of(context.mesh, &vertices, per, &mut hold.pulls));
-        if targets.is_some() {
+        let mut targets = (handle.targets).map(|per| TargetVertices::of(context.mesh, &vertices, per, &mut hold.pulls));
+        if let Some(targets) = &mut targets {
+            let admit_guide = |bytes| admit(held_bytes + bytes);
+            targets.bind_guide(handle, context.positions, &at, &admit_guide, context.exec)?;
             // As in a falloff: they take no node from a hard handle.
             hold.nodes = Vec::new();
         }

@@ -136,7 +136,7 @@ impl Deformer {
         };
         let body = &derived.body;
         let rest = &derived.topology().rest;
-        let targets = handles.hold_targets(&poses.0, &handle_system.setup().handles, body, rest);
+        let targets = handles.hold_targets(&poses.0, &handle_system.setup().handles, body, rest, exec);
         handle_system.set_targets(body, &targets, state, exec)?;
         let mut found = None;
         if !free.is_empty() {

@@ -1,9 +1,11 @@
 //! The vertices of a handle with targets, and what its nodes are to do for those of a pose.
 
 use super::error::Error;
-use super::handle::{Handle, HandleSet};
+use super::handle::{Handle, HandlePose, HandleSet};
+use super::resolved_handles::HeldBytesAdmission;
 use super::vertex_targets::{StiffnessPer, VertexTargets};
-use crate::deform::{DeformableBody, HandleConstraint};
+use crate::deform::{BoundGuide, DeformableBody, GuideProblem, HandleConstraint};
+use crate::exec::Exec;
 use crate::mesh::{Mesh, NONE};
 use glam::{DVec3, Vec3};
 
@@ -19,6 +21,8 @@ pub(super) struct TargetVertices {
     pull_of: Vec<u32>,
     /// By pull, the weight without those of the pose: of the region, and of its area.
     weights: Vec<f64>,
+    /// What gives their places.
+    guide: Option<BoundGuide>,
 }
 
 impl TargetVertices {
@@ -40,7 +44,55 @@ impl TargetVertices {
             pull_of: vertices.iter().map(pull_of).collect(),
             weights: pulls.iter().map(|p| p.1).collect(),
             vertices,
+            guide: None,
         }
+    }
+
+    /// Binds the guide of a handle, where it has one, to the vertices; `admit` is asked with the bytes before.
+    pub fn bind_guide(
+        &mut self,
+        handle: &Handle,
+        rest: &[DVec3],
+        field: &str,
+        admit: &HeldBytesAdmission<'_>,
+        exec: &Exec<'_>,
+    ) -> Result<(), Error> {
+        let Some(guide) = &handle.guide else { return Ok(()) };
+        let count = self.vertices.len();
+        let wrong = |wrong: GuideProblem| Error::invalid(format!("{field}.guide.{}", wrong.field), wrong.problem);
+        guide.check(count).map_err(wrong)?;
+        admit(guide.bound_bytes(count) as u64)?;
+        let places = self.vertices.iter().map(|v| rest[*v as usize]).collect();
+        self.guide = Some(guide.bind(places, exec)?);
+        Ok(())
+    }
+
+    /// Checks the shape of the guide in a pose of the handle.
+    pub fn check_guide(&self, pose: &HandlePose, id: &str, field: &str) -> Result<(), Error> {
+        let (shape, guide) = match (&pose.guide, &self.guide) {
+            (None, None) => return Ok(()),
+            (Some(_), None) => {
+                let problem = format!("is given, but handle \"{id}\" has no guide; a handle is set with it");
+                return Err(Error::invalid(format!("{field}.guide"), problem));
+            }
+            (_, Some(_)) if pose.targets.as_ref().is_some_and(|t| !t.positions.is_empty()) => {
+                let problem = format!("are given, but handle \"{id}\" has a guide, which gives them");
+                return Err(Error::invalid(format!("{field}.targets.positions"), problem));
+            }
+            (None, Some(_)) => return Ok(()),
+            (Some(shape), Some(guide)) => (shape, guide),
+        };
+        let wrong = |wrong: GuideProblem| Error::invalid(format!("{field}.guide.{}", wrong.field), wrong.problem);
+        guide.check(shape).map_err(wrong)
+    }
+
+    /// Where the guide wants the vertices for a pose; `None` of those that it does not lead.
+    pub fn led(&self, pose: &HandlePose, exec: &Exec<'_>) -> Option<Vec<Option<DVec3>>> {
+        let guide = self.guide.as_ref()?;
+        Some(match &pose.guide {
+            Some(shape) => guide.places(shape, exec),
+            None => guide.rest_places(),
+        })
     }
 
     /// How many vertices have targets.
@@ -56,6 +108,7 @@ impl TargetVertices {
         body: &DeformableBody,
         rest: &[DVec3],
         targets: &VertexTargets,
+        led: Option<&[Option<DVec3>]>,
     ) -> Pulls {
         let at_rest = |pull: usize| body.graph.positions[hold.pulls[pull].0 as usize];
         // By pull: the way from rest times weight, the weights, and the vertices.
@@ -64,11 +117,16 @@ impl TargetVertices {
             let Some(sum) = sums.get_mut(pull as usize) else {
                 continue;
             };
-            let weight = targets.weights.get(k).map_or(1.0, |w| f64::from(*w));
+            let mut weight = targets.weights.get(k).map_or(1.0, |w| f64::from(*w));
             let rest = rest[vertex as usize];
             let place = targets.positions.get(k).map(|p| Vec3::from_array(*p));
-            let way = match place {
-                Some(place) if place != rest.as_vec3() => place.as_dvec3() - rest,
+            let way = match (led.map(|led| led[k]), place) {
+                (Some(None), _) => {
+                    weight = 0.0;
+                    DVec3::ZERO
+                }
+                (Some(Some(place)), _) => place - rest,
+                (None, Some(place)) if place != rest.as_vec3() => place.as_dvec3() - rest,
                 _ => DVec3::ZERO,
             };
             *sum = (sum.0 + way * weight, sum.1 + weight, sum.2 + 1);
@@ -89,7 +147,8 @@ impl TargetVertices {
 
     /// Bytes held, with the places that the system has of it.
     pub fn byte_size(&self) -> usize {
-        4 * (self.vertices.len() + self.pull_of.len()) + (8 + size_of::<DVec3>()) * self.weights.len()
+        let guide = self.guide.as_ref().map_or(0, BoundGuide::byte_size);
+        4 * (self.vertices.len() + self.pull_of.len()) + (8 + size_of::<DVec3>()) * self.weights.len() + guide
     }
 }
 
@@ -117,7 +176,13 @@ fn shares_of_area(mesh: &Mesh) -> Vec<f64> {
 /// Refuses a handle with targets that asks for what it cannot do.
 pub(super) fn check_targets_alone(set: &HandleSet, handle: &Handle, field: &str) -> Result<(), Error> {
     if handle.targets.is_none() {
-        return Ok(());
+        return match handle.guide.is_some() {
+            true => Err(Error::invalid(
+                format!("{field}.guide"),
+                "is set, but targets is not: a guide gives their places",
+            )),
+            false => Ok(()),
+        };
     }
     let kinds = handle.constrains;
     let problem = match handle {

@@ -87,7 +87,15 @@ fn mean_value_weights(place: DVec3, positions: &[DVec3], triangles: &[[u32; 3]])
         }
     }
     let sum: f64 = weights.iter().sum();
-    weights.iter_mut().for_each(|w| *w /= sum);
+    let size: f64 = weights.iter().map(|w| w.abs()).sum();
+    if sum.abs() > 1e-9 * size && sum.is_finite() {
+        weights.iter_mut().for_each(|w| *w /= sum);
+        return weights;
+    }
+    // Far outside of a cage that folds back on itself they may cancel: the nearest vertex leads then.
+    let nearest = (0..ways.len()).fold(0, |best, k| if ways[k].1 < ways[best].1 { k } else { best });
+    weights.fill(0.0);
+    weights[nearest] = 1.0;
     weights
 }
 

@@ -38,6 +38,11 @@ impl LatticePlaces {
         self.rest.len()
     }
 
+    pub fn rest_places(&self, rest: &[DVec3]) -> Vec<Option<DVec3>> {
+        let led = self.cells.iter().zip(rest);
+        led.map(|(cell, place)| cell.is_some().then_some(*place)).collect()
+    }
+
     pub fn places(&self, rest: &[DVec3], positions: &[DVec3], exec: &Exec<'_>) -> Vec<Option<DVec3>> {
         let moves: Vec<DVec3> = positions
             .iter()

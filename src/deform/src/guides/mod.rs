@@ -53,6 +53,16 @@ pub struct GuidePose {
     pub scales: Vec<f64>,
 }
 
+impl GuidePose {
+    /// Bytes held.
+    pub fn byte_size(&self) -> usize {
+        size_of::<Self>()
+            + size_of_val(&self.positions[..])
+            + size_of_val(&self.twists[..])
+            + size_of_val(&self.scales[..])
+    }
+}
+
 /// A guide that is bound to vertices.
 #[derive(Debug, Clone)]
 pub struct BoundGuide {
@@ -92,6 +102,25 @@ impl Guide {
             Guide::Cage { positions, .. } => size_of::<f32>() * positions.len(),
         };
         vertices.saturating_mul(each + size_of::<DVec3>())
+    }
+
+    /// Bytes held.
+    pub fn byte_size(&self) -> usize {
+        let lists = match self {
+            Guide::Curve { points, .. } => size_of_val(&points[..]),
+            Guide::Lattice { .. } => 0,
+            Guide::Cage { positions, triangles } => size_of_val(&positions[..]) + size_of_val(&triangles[..]),
+        };
+        size_of::<Self>() + lists
+    }
+
+    /// About how many points are looked at for each vertex that it leads.
+    pub fn cost(&self) -> u64 {
+        match self {
+            Guide::Curve { .. } => 16,
+            Guide::Lattice { .. } => 1,
+            Guide::Cage { triangles, .. } => triangles.len() as u64,
+        }
     }
 
     /// Binds the guide, which has been checked, to vertices at their rest positions.
@@ -141,6 +170,14 @@ impl BoundGuide {
             }
         }
         finite(&pose.positions, "positions")
+    }
+
+    /// Where they are wanted in the rest shape.
+    pub fn rest_places(&self) -> Vec<Option<DVec3>> {
+        match &self.binding {
+            Binding::Lattice(lattice) => lattice.rest_places(&self.rest),
+            Binding::Curve(_) | Binding::Cage(_) => self.rest.iter().copied().map(Some).collect(),
+        }
     }
 
     /// Where the vertices are wanted for a pose that has been checked; `None` for those that the guide does not lead.
