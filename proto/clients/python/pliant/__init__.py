@@ -39,6 +39,7 @@ from .errors import (
     Unimplemented,
 )
 from .frames import Frame, SolvedFrame
+from .guides import Cage, Curve, GuidePose, Lattice
 from .player import Animation
 from .poses import Pose, Targets
 from .server import LocalServer
@@ -56,16 +57,20 @@ __all__ = [
     "AlreadyExists",
     "AnimatedFrame",
     "Animation",
+    "Cage",
     "Cancelled",
     "Carried",
     "Client",
     "Commit",
+    "Curve",
     "DeadlineExceeded",
     "EditResult",
     "FailedPrecondition",
     "Frame",
+    "GuidePose",
     "Internal",
     "InvalidArgument",
+    "Lattice",
     "LocalServer",
     "LocalServerError",
     "NotFound",

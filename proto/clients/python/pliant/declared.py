@@ -12,6 +12,7 @@ from typing_extensions import Unpack
 
 from . import errors, preview, regions
 from .books import Books
+from .guides import Guide
 from .poses import Pose, Vector, to_message
 from .regions import RegionFields
 from .values import about, seen, text
@@ -81,6 +82,7 @@ class Declared:
         rigid: bool = False,
         falloff: tuple[float, Literal["none", "linear", "smooth"]] | None = None,
         targets: bool | Literal["vertex", "area"] = False,
+        guide: Guide | None = None,
         **region: Unpack[RegionFields],
     ) -> None:
         """Adds a handle, or replaces the one of that id.
@@ -88,7 +90,8 @@ class Declared:
         The region is one of ``vertices``, ``half_space``, ``sphere``, ``box``, ``capsule``, ``tube``, ``component``,
         ``primitive`` and ``weights``. Without a pose the handle is an anchor in the rest pose. Where regions overlap, the handle
         that was added later wins. With ``targets`` every vertex has a target of its own, which :class:`pliant.Targets` in a pose
-        gives; the ``stiffness``, which it needs, is then per vertex or per area.
+        gives; the ``stiffness``, which it needs, is then per vertex or per area. With a ``guide``, a :class:`pliant.Curve`,
+        :class:`pliant.Lattice` or :class:`pliant.Cage`, its shape gives the targets: :class:`pliant.GuidePose` in a pose.
         """
         with about(f"handle {text('handle', id, 'an id, which is text,')!r}"):
             handle = regions.handle(
@@ -99,6 +102,7 @@ class Declared:
                 rigid=rigid,
                 falloff=falloff,
                 targets=targets,
+                guide=guide,
                 fields=region,
                 count=self.vertices,
             )

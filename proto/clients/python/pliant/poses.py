@@ -2,7 +2,7 @@
 
 A pose scales, then turns about the pivot, then moves. Wherever this package takes a pose it takes a :class:`Pose`, a
 dict of its fields, or a 4 by 4 matrix; wherever it takes the poses of several handles it takes a mapping from handle
-ids. A handle with targets takes :class:`Targets` instead.
+ids. A handle with targets takes :class:`Targets` instead, one with a guide :class:`pliant.GuidePose`.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from typing_extensions import TypedDict
 
+from .guides import GuidePose
 from .values import about, array, mapping, seen, snake_case, text
 from .v1 import pliant_pb2 as pb
 
@@ -107,7 +108,7 @@ class Targets:
         return message
 
 
-PoseLike: TypeAlias = Union[Pose, Targets, PoseFields, "npt.NDArray[Any]", None]
+PoseLike: TypeAlias = Union[Pose, Targets, GuidePose, PoseFields, "npt.NDArray[Any]", None]
 Poses: TypeAlias = Mapping[str, PoseLike]
 
 
@@ -140,7 +141,7 @@ def to_message(pose: PoseLike) -> pb.HandlePose:
     """A pose as the schema carries it; None is rest."""
     if pose is None:
         return pb.HandlePose()
-    if isinstance(pose, Targets):
+    if isinstance(pose, (Targets, GuidePose)):
         return pose.to_message()
     if isinstance(pose, np.ndarray):
         pose = Pose.from_matrix(pose)

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from typing_extensions import TypedDict
 
+from .guides import Guide, guide_message
 from .poses import Vector, numbers
 from .values import about, array, mapping, number, put, seen, snake_case, text, whole
 from .v1 import pliant_pb2 as pb
@@ -185,6 +186,7 @@ def handle(
     rigid: bool,
     falloff: tuple[float, str] | None,
     targets: bool | str,
+    guide: Guide | None = None,
     fields: RegionLike | Mapping[str, Any],
     count: int | None = None,
 ) -> pb.Handle:
@@ -206,6 +208,8 @@ def handle(
         per = "vertex" if targets is True else targets
         message.targets.stiffness_per = enum("targets", pb.Handle.Targets.StiffnessPer, per)
         message.targets.SetInParent()
+    if guide is not None:
+        message.guide.CopyFrom(guide_message(guide))
     return message
 
 

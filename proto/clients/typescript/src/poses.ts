@@ -56,6 +56,10 @@ export function checkPoses(entries: readonly unknown[]): void {
         if (typeof value !== "object") refuse(`.targets is ${written(value)}, what targets() makes is allowed`);
         continue;
       }
+      if (field === "guide") {
+        if (typeof value !== "object") refuse(`.guide is ${written(value)}, an object with positions, twists, scales is allowed`);
+        continue;
+      }
       const counts = COUNTS[field];
       if (counts === undefined) {
         if (typeof value !== "boolean") refuse(`.${field} is ${written(value)}, true or false is allowed`);

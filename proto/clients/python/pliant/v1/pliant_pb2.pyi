@@ -525,7 +525,7 @@ class Region(_message.Message):
     def __init__(self, vertices: _Optional[_Union[Region.Vertices, _Mapping]] = ..., half_space: _Optional[_Union[Region.HalfSpace, _Mapping]] = ..., sphere: _Optional[_Union[Region.Sphere, _Mapping]] = ..., box: _Optional[_Union[Region.Box, _Mapping]] = ..., capsule: _Optional[_Union[Region.Capsule, _Mapping]] = ..., tube: _Optional[_Union[Region.Tube, _Mapping]] = ..., component: _Optional[_Union[Region.Part, _Mapping]] = ..., primitive: _Optional[_Union[Region.Part, _Mapping]] = ..., weights: _Optional[_Union[Region.Weights, _Mapping]] = ...) -> None: ...
 
 class HandlePose(_message.Message):
-    __slots__ = ("translation", "rotation", "rotation_vector", "scale", "pivot", "free_rotation", "targets")
+    __slots__ = ("translation", "rotation", "rotation_vector", "scale", "pivot", "free_rotation", "targets", "guide")
     TRANSLATION_FIELD_NUMBER: _ClassVar[int]
     ROTATION_FIELD_NUMBER: _ClassVar[int]
     ROTATION_VECTOR_FIELD_NUMBER: _ClassVar[int]
@@ -533,6 +533,7 @@ class HandlePose(_message.Message):
     PIVOT_FIELD_NUMBER: _ClassVar[int]
     FREE_ROTATION_FIELD_NUMBER: _ClassVar[int]
     TARGETS_FIELD_NUMBER: _ClassVar[int]
+    GUIDE_FIELD_NUMBER: _ClassVar[int]
     translation: _containers.RepeatedScalarFieldContainer[float]
     rotation: _containers.RepeatedScalarFieldContainer[float]
     rotation_vector: _containers.RepeatedScalarFieldContainer[float]
@@ -540,7 +541,51 @@ class HandlePose(_message.Message):
     pivot: _containers.RepeatedScalarFieldContainer[float]
     free_rotation: bool
     targets: VertexTargets
-    def __init__(self, translation: _Optional[_Iterable[float]] = ..., rotation: _Optional[_Iterable[float]] = ..., rotation_vector: _Optional[_Iterable[float]] = ..., scale: _Optional[_Iterable[float]] = ..., pivot: _Optional[_Iterable[float]] = ..., free_rotation: bool = ..., targets: _Optional[_Union[VertexTargets, _Mapping]] = ...) -> None: ...
+    guide: GuidePose
+    def __init__(self, translation: _Optional[_Iterable[float]] = ..., rotation: _Optional[_Iterable[float]] = ..., rotation_vector: _Optional[_Iterable[float]] = ..., scale: _Optional[_Iterable[float]] = ..., pivot: _Optional[_Iterable[float]] = ..., free_rotation: bool = ..., targets: _Optional[_Union[VertexTargets, _Mapping]] = ..., guide: _Optional[_Union[GuidePose, _Mapping]] = ...) -> None: ...
+
+class Guide(_message.Message):
+    __slots__ = ("curve", "lattice", "cage")
+    class Curve(_message.Message):
+        __slots__ = ("points", "keep_length")
+        POINTS_FIELD_NUMBER: _ClassVar[int]
+        KEEP_LENGTH_FIELD_NUMBER: _ClassVar[int]
+        points: _containers.RepeatedScalarFieldContainer[float]
+        keep_length: bool
+        def __init__(self, points: _Optional[_Iterable[float]] = ..., keep_length: bool = ...) -> None: ...
+    class Lattice(_message.Message):
+        __slots__ = ("origin", "edges", "counts")
+        ORIGIN_FIELD_NUMBER: _ClassVar[int]
+        EDGES_FIELD_NUMBER: _ClassVar[int]
+        COUNTS_FIELD_NUMBER: _ClassVar[int]
+        origin: _containers.RepeatedScalarFieldContainer[float]
+        edges: _containers.RepeatedScalarFieldContainer[float]
+        counts: _containers.RepeatedScalarFieldContainer[int]
+        def __init__(self, origin: _Optional[_Iterable[float]] = ..., edges: _Optional[_Iterable[float]] = ..., counts: _Optional[_Iterable[int]] = ...) -> None: ...
+    class Cage(_message.Message):
+        __slots__ = ("positions", "triangles")
+        POSITIONS_FIELD_NUMBER: _ClassVar[int]
+        TRIANGLES_FIELD_NUMBER: _ClassVar[int]
+        positions: _containers.RepeatedScalarFieldContainer[float]
+        triangles: _containers.RepeatedScalarFieldContainer[int]
+        def __init__(self, positions: _Optional[_Iterable[float]] = ..., triangles: _Optional[_Iterable[int]] = ...) -> None: ...
+    CURVE_FIELD_NUMBER: _ClassVar[int]
+    LATTICE_FIELD_NUMBER: _ClassVar[int]
+    CAGE_FIELD_NUMBER: _ClassVar[int]
+    curve: Guide.Curve
+    lattice: Guide.Lattice
+    cage: Guide.Cage
+    def __init__(self, curve: _Optional[_Union[Guide.Curve, _Mapping]] = ..., lattice: _Optional[_Union[Guide.Lattice, _Mapping]] = ..., cage: _Optional[_Union[Guide.Cage, _Mapping]] = ...) -> None: ...
+
+class GuidePose(_message.Message):
+    __slots__ = ("positions", "twists", "scales")
+    POSITIONS_FIELD_NUMBER: _ClassVar[int]
+    TWISTS_FIELD_NUMBER: _ClassVar[int]
+    SCALES_FIELD_NUMBER: _ClassVar[int]
+    positions: _containers.RepeatedScalarFieldContainer[float]
+    twists: _containers.RepeatedScalarFieldContainer[float]
+    scales: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, positions: _Optional[_Iterable[float]] = ..., twists: _Optional[_Iterable[float]] = ..., scales: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class VertexTargets(_message.Message):
     __slots__ = ("positions", "weights", "first")
@@ -553,7 +598,7 @@ class VertexTargets(_message.Message):
     def __init__(self, positions: _Optional[bytes] = ..., weights: _Optional[bytes] = ..., first: _Optional[int] = ...) -> None: ...
 
 class Handle(_message.Message):
-    __slots__ = ("id", "region", "constrains", "stiffness", "rigid", "pose", "falloff", "targets")
+    __slots__ = ("id", "region", "constrains", "stiffness", "rigid", "pose", "falloff", "targets", "guide")
     class Constrains(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         POSITION: _ClassVar[Handle.Constrains]
@@ -581,6 +626,7 @@ class Handle(_message.Message):
     POSE_FIELD_NUMBER: _ClassVar[int]
     FALLOFF_FIELD_NUMBER: _ClassVar[int]
     TARGETS_FIELD_NUMBER: _ClassVar[int]
+    GUIDE_FIELD_NUMBER: _ClassVar[int]
     id: str
     region: Region
     constrains: _containers.RepeatedScalarFieldContainer[Handle.Constrains]
@@ -589,7 +635,8 @@ class Handle(_message.Message):
     pose: HandlePose
     falloff: Falloff
     targets: Handle.Targets
-    def __init__(self, id: _Optional[str] = ..., region: _Optional[_Union[Region, _Mapping]] = ..., constrains: _Optional[_Iterable[_Union[Handle.Constrains, str]]] = ..., stiffness: _Optional[float] = ..., rigid: bool = ..., pose: _Optional[_Union[HandlePose, _Mapping]] = ..., falloff: _Optional[_Union[Falloff, _Mapping]] = ..., targets: _Optional[_Union[Handle.Targets, _Mapping]] = ...) -> None: ...
+    guide: Guide
+    def __init__(self, id: _Optional[str] = ..., region: _Optional[_Union[Region, _Mapping]] = ..., constrains: _Optional[_Iterable[_Union[Handle.Constrains, str]]] = ..., stiffness: _Optional[float] = ..., rigid: bool = ..., pose: _Optional[_Union[HandlePose, _Mapping]] = ..., falloff: _Optional[_Union[Falloff, _Mapping]] = ..., targets: _Optional[_Union[Handle.Targets, _Mapping]] = ..., guide: _Optional[_Union[Guide, _Mapping]] = ...) -> None: ...
 
 class Falloff(_message.Message):
     __slots__ = ("radius", "kind")
