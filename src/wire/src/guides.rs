@@ -109,3 +109,60 @@ fn places(values: &[f64], field: &str) -> Result<Vec<DVec3>, Error> {
 fn numbers(places: &[DVec3]) -> Vec<f64> {
     places.iter().flat_map(|p| p.to_array()).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::json::from_json;
+
+    #[test]
+    fn guides_are_written_as_they_were_read() {
+        let flat = |count: u32| (0..3 * count).map(|k| f64::from(k) + 0.1).collect::<Vec<f64>>();
+        for shape in [
+            r#"{"curve": {"points": [0, 0, 0, 1, 0.1, 2], "keepLength": true}}"#,
+            r#"{"lattice": {"origin": [0, 1, 2], "edges": [1, 0, 0, 0, 1, 0, 0, 0, 1], "counts": [2, 3, 4]}}"#,
+            r#"{"cage": {"positions": [0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1], "triangles": [0, 2, 1, 0, 1, 3]}}"#,
+        ] {
+            let message: pb::Guide = from_json(shape.as_bytes()).expect("a guide");
+            let read = guide(Some(&message), "guide").expect("a guide").expect("it is given");
+            assert_eq!(guide_message(&read), message);
+        }
+        let pose = pb::GuidePose {
+            positions: flat(3),
+            twists: flat(1),
+            scales: flat(1),
+        };
+        assert_eq!(guide_pose_message(&guide_pose(&pose, "guide").expect("a shape")), pose);
+    }
+
+    #[test]
+    fn wrong_guides_are_refused_with_their_field() {
+        for (shape, field) in [
+            ("{}", "guide"),
+            (r#"{"curve": {"points": [0, 0, 0, 1]}}"#, "guide.curve.points"),
+            (
+                r#"{"lattice": {"origin": [0], "edges": [1, 0, 0, 0, 1, 0, 0, 0, 1], "counts": [2, 2, 2]}}"#,
+                "guide.lattice.origin",
+            ),
+            (
+                r#"{"lattice": {"origin": [0, 0, 0], "edges": [1, 0, 0, 0, 1, 0], "counts": [2, 2, 2]}}"#,
+                "guide.lattice.edges",
+            ),
+            (
+                r#"{"lattice": {"origin": [0, 0, 0], "edges": [1, 0, 0, 0, 1, 0, 0, 0, 1], "counts": [2]}}"#,
+                "guide.lattice.counts",
+            ),
+            (
+                r#"{"cage": {"positions": [0, 0, 0, 1, 0, 0], "triangles": [0, 2]}}"#,
+                "guide.cage.triangles",
+            ),
+        ] {
+            let message: pb::Guide = from_json(shape.as_bytes()).expect("a message");
+            let error = guide(Some(&message), "guide").expect_err("it is wrong");
+            assert!(
+                matches!(&error, Error::Invalid { field: named, .. } if named == field),
+                "{shape}: {error}"
+            );
+        }
+    }
+}

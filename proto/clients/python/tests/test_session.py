@@ -74,6 +74,27 @@ def test_points_and_models_ride_along(held: pliant.Session) -> None:
             held.carry(wrong)
 
 
+def test_a_lattice_and_a_curve_lead_a_model(creature: Path, server: pliant.LocalServer) -> None:
+    with pliant.open(creature, server=server) as session:
+        rest = session.positions()
+        everything = {"vertices": np.ones(len(rest), bool)}
+        box = pliant.Lattice(origin=rest.min(0), edges=rest.max(0) - rest.min(0), counts=(3, 2, 2))
+        session.handle("body", stiffness=1000, guide=box, **everything)
+        affine = np.array([[1.2, 0.1, 0], [0, 0.9, 0], [0.1, 0, 1]])
+        led = session.solve({"body": pliant.GuidePose(box.points @ affine + [0, 1, 0])})
+        assert np.abs(led - (rest @ affine + [0, 1, 0])).max() < 0.01
+        assert np.abs(session.solve({"body": pliant.GuidePose(box.points)}) - rest).max() < 1e-5
+
+        line = np.array([[-1.0, 0, 0], [0, 0, 0], [1, 0, 0]])
+        session.handle("body", stiffness=1000, guide=pliant.Curve(line, keep_length=True), **everything)
+        rolled = session.solve({"body": pliant.GuidePose(line, twists=[np.pi / 2] * 3)})
+        assert np.abs(rolled - rest @ [[1, 0, 0], [0, 0, 1], [0, -1, 0]]).max() < 0.01
+        with pytest.raises(pliant.InvalidArgument, match="guide.scales"):
+            session.solve({"body": pliant.GuidePose(line, scales=[1.0])})
+        with pytest.raises(TypeError, match="pliant.Curve, Lattice or Cage"):
+            session.handle("body", stiffness=1, guide=line, **everything)  # type: ignore[arg-type]
+
+
 def test_passengers_are_shown_and_do_not_hold(server: pliant.LocalServer) -> None:
     ball = "o body\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
     with pytest.raises(pliant.InvalidArgument, match=r"passengers\[0\]"):
