@@ -97,14 +97,16 @@ export function applyOptions(): void {
   stream?.setOptions(draggingOptions());
 }
 
-function pivotOf(id: string): HandleState["pivot"] {
-  return s.handles.peek().find((handle) => handle.id === id)?.pivot ?? [0, 0, 0];
+/** What is told of a handle at a pose. */
+function entryAt(id: string, pose: HandlePose): PoseEntry {
+  const { pivot, guide } = s.handles.peek().find((handle) => handle.id === id) ?? { pivot: [0, 0, 0] as const, guide: undefined };
+  return entryOf({ id, pose, pivot, guide }, origin());
 }
 
 /** Shows a handle at a pose; the newest wins. */
 export function dragTo(id: string, pose: HandlePose): void {
   setPose(id, pose);
-  pending = [entryOf({ id, pose, pivot: pivotOf(id) }, origin())];
+  pending = [entryAt(id, pose)];
   givenUp = false;
   view().stage.request();
 }
@@ -122,7 +124,7 @@ export async function giveUpDrag(id: string, pose: HandlePose): Promise<void> {
   givenUp = true;
   dragTurns = new Map();
   // The stream's next commit records what was dragged on it: this is.
-  current.pose([entryOf({ id, pose, pivot: pivotOf(id) }, origin())]);
+  current.pose([entryAt(id, pose)]);
   try {
     await allAnswered();
     const positions = await open.session.positions();

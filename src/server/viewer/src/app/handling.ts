@@ -2,6 +2,7 @@
 
 import { batch } from "@preact/signals";
 import type { Vector, schema } from "pliant-client";
+import { type GuideKind, guideAround } from "../model/guides.ts";
 import { AT_REST, type HandleState, type Hold, PALETTE, heldPose, isAtRest, messageOf, poseOf } from "../model/handles.ts";
 import { commitPoses } from "./dragging.ts";
 import { changedHere, isStale, takeOver } from "./following.ts";
@@ -15,11 +16,15 @@ import { committing, didCommit } from "./steps.ts";
 type Facts = schema.Session;
 type HandleFacts = schema.HandleFacts;
 
+/** How strongly a guide leads: as good as exactly. */
+const LED_STIFFNESS = 1000;
+const GUIDE_NAMES: Readonly<Record<GuideKind, string>> = { curve: "Curve", lattice: "Lattice" };
+
 /** Fields of a handle whose absence means something. */
 const CLEARABLE = ["constrains", "stiffness", "rigid", "pose", "falloff"] as const;
 
-/** Makes a handle of the selection. */
-export async function makeHandle(hold: Hold): Promise<void> {
+/** Makes a handle of the selection, which a guide around it leads where one is asked for. */
+export async function makeHandle(hold: Hold, led?: GuideKind): Promise<void> {
   const open = s.doc.peek();
   const vertices = selectedVertices();
   const selectedWith = s.tool.peek();
@@ -35,17 +40,18 @@ export async function makeHandle(hold: Hold): Promise<void> {
   const hue = PALETTE.findIndex((_, k) => !hues.includes(k));
   const handle: HandleState = {
     id: `handle-${number}`,
-    name: `${hold === "pin" ? "Pin" : hold === "soft" ? "Soft" : "Grip"} ${number}`,
+    name: `${led !== undefined ? GUIDE_NAMES[led] : hold === "pin" ? "Pin" : hold === "soft" ? "Soft" : "Grip"} ${number}`,
     hue: hue < 0 ? number % PALETTE.length : hue,
     hold,
     vertices,
     count: vertices.length,
     pivot: [0, 0, 0],
-    stiffness: 1,
+    stiffness: led === undefined ? 1 : LED_STIFFNESS,
     falloff: { radius: open.report.diagonal * 0.05, kind: "NONE" },
     constrains: { position: true, rotation: true, scale: true },
     rigid: false,
     pose: AT_REST,
+    guide: led === undefined ? undefined : guideAround(led, vertices, open.rest),
   };
   await changing(`${handle.name} made`, "The handle was not made", async () => {
     const told = await open.session.putHandle(messageOf(handle, origin()));

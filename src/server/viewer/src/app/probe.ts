@@ -40,6 +40,8 @@ export interface Probe {
     animation: { kept: number; wanted: number; at: number; running: boolean; coming: boolean; compared: boolean } | null;
     /** Triangles that are marked as crossing others; -1 while none are looked for. */
     crossings: number;
+    /** The points of the active handle's guide, on the page. */
+    points: { at: readonly number[]; place: { x: number; y: number } | undefined }[];
     /** The joints of the rig that is shown, on the page. */
     rig: { name: string; score: number | null; doubtful: boolean; given: boolean; at: readonly number[]; place: { x: number; y: number } | undefined }[] | null;
     revision: string;
@@ -94,6 +96,7 @@ export function installProbe(): void {
       seconds: playing.peek()?.seconds ?? -1,
       animation: animationNow(),
       crossings: crossings.peek()?.total ?? -1,
+      points: ((handle) => (handle?.pose.places ?? handle?.guide?.rest ?? []).map((at) => ({ at: [...at], place: place(new Vector3(...at)) })))(s.activeHandle.peek()),
       rig: rigging.peek()?.joints.map(({ name, score, doubtful, given, at }) => ({ name, score: score ?? null, doubtful, given, at, place: place(new Vector3(...at)) })) ?? null,
       revision: String(s.currentRevision.peek()),
       ...paintedSoFar(),

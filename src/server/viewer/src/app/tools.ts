@@ -4,6 +4,7 @@ import { MOUSE, TOUCH } from "three";
 import { pick } from "../scene/picking.ts";
 import { ScreenView } from "../scene/screen.ts";
 import { remesh } from "./editing.ts";
+import { giveUpLeading } from "./leading.ts";
 import * as s from "./signals.ts";
 import { did } from "./steps.ts";
 import { view } from "./view.ts";
@@ -99,6 +100,7 @@ export function activate(id: string | undefined): void {
 
 /** Gives up what the pointer is doing, a stroke or a drag; whether it did anything. */
 export function giveUpGesture(): boolean {
+  if (giveUpLeading()) return true;
   if (s.dragging.peek()) {
     view().gizmo.giveUp();
     return true;

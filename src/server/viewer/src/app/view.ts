@@ -12,6 +12,8 @@ export interface View {
   readonly gizmo: Gizmo;
   readonly markers: Markers;
   readonly joints: Joints;
+  /** Points of the active handle's guide. */
+  readonly controls: Joints;
   readonly overlay: Overlay;
   readonly pointer: Pointer;
 }

@@ -17,6 +17,7 @@ import { installCrossing } from "./crossing.ts";
 import { installFollowing } from "./following.ts";
 import { asItLies } from "./handling.ts";
 import { installIntermission, onScreen } from "./intermission.ts";
+import { controlEvents, installLeading } from "./leading.ts";
 import { repaint } from "./painting.ts";
 import { installPlaying } from "./playing.ts";
 import { installRigging, jointEvents } from "./rigging.ts";
@@ -53,7 +54,7 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
     },
   });
   const plane = new CuttingPlane(stage);
-  setView({ stage, gizmo, markers: new Markers(stage), joints: new Joints(stage, jointEvents), overlay: new Overlay(host), pointer: new Pointer(stage) });
+  setView({ stage, gizmo, markers: new Markers(stage), joints: new Joints(stage, jointEvents), controls: new Joints(stage, controlEvents), overlay: new Overlay(host), pointer: new Pointer(stage) });
   installTools();
   installSteps();
   stage.beforePaint(turn);
@@ -63,6 +64,7 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
   installFollowing();
   installCrossing();
   installRigging();
+  installLeading();
   stage.beforePaint(() => followGizmo(gizmoLabel));
 
   const dark = matchMedia("(prefers-color-scheme: dark)");
@@ -97,7 +99,7 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
   effect(() => {
     const handle = s.activeHandle.value;
     const mode = MODES[s.tool.value];
-    const holds = handle !== undefined && handle.hold !== "pin" && mode !== undefined && onScreen.value === undefined;
+    const holds = handle !== undefined && handle.hold !== "pin" && handle.guide === undefined && mode !== undefined && onScreen.value === undefined;
     if (mode !== undefined) gizmo.setMode(mode, s.settings.value.localAxes, false);
     // What has turned automatically is turned on from how it lies.
     const pose: HandlePose | undefined = holds ? untracked(() => (mode === "rotate" ? asItLies(handle) : handle.pose)) : undefined;

@@ -1,6 +1,7 @@
 /** Handles as the page keeps them, and how the schema says them. */
 
 import { type Handle, type PoseEntry, type Quaternion, type Vector, nearestRotationVector, quaternionOf, regionOf, schema } from "pliant-client";
+import { type Guide, flat, guideMessage } from "./guides.ts";
 
 /** How a handle acts: dragged by the gizmo, fixed, or pulling with a finite strength. */
 export type Hold = "grip" | "pin" | "soft";
@@ -13,6 +14,8 @@ export interface HandlePose {
   readonly scale: Vector;
   /** Whether the server finds the rotation; `rotation` is then where its search begins. */
   readonly freely: boolean;
+  /** Of a handle with a guide, where its points are; nothing else of the pose counts then. In the rest shape without. */
+  readonly places?: readonly Vector[] | undefined;
 }
 
 export const AT_REST: HandlePose = { translation: [0, 0, 0], rotation: [0, 0, 0], scale: [1, 1, 1], freely: false };
@@ -45,6 +48,8 @@ export interface HandleState {
   readonly constrains: Constrains;
   readonly rigid: boolean;
   readonly pose: HandlePose;
+  /** What leads its vertices, if anything does. */
+  readonly guide?: Guide | undefined;
 }
 
 /** Colours of handles, the first ones far from the gizmo's axes, all far from the selection's amber. */
@@ -85,17 +90,20 @@ export function messageOf(handle: HandleState, origin: Vector): Handle & { id: s
       ? { falloff: { radius: handle.falloff.radius, kind: schema.Falloff_Kind[handle.falloff.kind] } }
       : {}),
     rigid: handle.rigid,
+    ...(handle.guide === undefined ? {} : { guide: guideMessage(handle.guide, (place) => added(place, origin)) }),
     ...(isAtRest(handle.pose) ? {} : { pose: poseMessage(handle, origin) }),
   };
 }
 
 /** Its pose in the schema's words. */
-export function entryOf(handle: Pick<HandleState, "id" | "pose" | "pivot">, origin: Vector): PoseEntry {
+export function entryOf(handle: Pick<HandleState, "id" | "pose" | "pivot" | "guide">, origin: Vector): PoseEntry {
   return { id: handle.id, pose: poseMessage(handle, origin) };
 }
 
 /** The pivot is said, because the server's default depends on all handles, and these come and go; what turns freely is held by its middle. */
-function poseMessage({ pose, pivot: [x, y, z] }: Pick<HandleState, "pose" | "pivot">, [ox, oy, oz]: Vector): NonNullable<PoseEntry["pose"]> {
+function poseMessage({ pose, pivot: [x, y, z], guide }: Pick<HandleState, "pose" | "pivot" | "guide">, origin: Vector): NonNullable<PoseEntry["pose"]> {
+  if (guide !== undefined) return { guide: { positions: flat((pose.places ?? guide.rest).map((place) => added(place, origin))) } };
+  const [ox, oy, oz] = origin;
   const { translation, rotation, scale, freely } = pose;
   const turn = freely ? { freeRotation: true } : { pivot: [x + ox, y + oy, z + oz] };
   return { translation: [...translation], rotationVector: [...rotation], scale: [...scale], ...turn };
@@ -107,6 +115,7 @@ function poseMessage({ pose, pivot: [x, y, z] }: Pick<HandleState, "pose" | "piv
  */
 export function poseOf(told: schema.HandlePose | undefined, own: Vector, [ox, oy, oz]: Vector, before: HandlePose = AT_REST): HandlePose {
   if (told === undefined) return AT_REST;
+  if (told.guide !== undefined) return { ...AT_REST, places: placesOf(told.guide.positions, [ox, oy, oz]) };
   const [x, y, z, w] = told.rotation;
   const rotation =
     told.rotation.length === 4
@@ -147,6 +156,16 @@ export function searchingFrom(handles: readonly HandleState[], turns: ReadonlyMa
     const rotation = handle.pose.freely ? turns.get(handle.id) : undefined;
     return rotation === undefined ? handle : { ...handle, pose: { ...handle.pose, rotation } };
   });
+}
+
+function added(a: Vector, b: Vector): Vector {
+  return [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
+}
+
+function placesOf(numbers: readonly number[], [ox, oy, oz]: Vector): Vector[] {
+  const places: Vector[] = [];
+  for (let k = 0; k + 2 < numbers.length; k += 3) places.push([(numbers[k] as number) - ox, (numbers[k + 1] as number) - oy, (numbers[k + 2] as number) - oz]);
+  return places;
 }
 
 function vectorOf(numbers: readonly number[], otherwise: Vector): Vector {
@@ -205,6 +224,6 @@ export function heldAfter(vertices: Uint32Array, runs: readonly schema.EditResul
 }
 
 /** Whether a pose is none. */
-export function isAtRest({ translation, rotation, scale, freely }: HandlePose): boolean {
-  return !freely && [...translation, ...rotation].every((x) => x === 0) && scale.every((x) => x === 1);
+export function isAtRest({ translation, rotation, scale, freely, places }: HandlePose): boolean {
+  return !freely && places === undefined && [...translation, ...rotation].every((x) => x === 0) && scale.every((x) => x === 1);
 }

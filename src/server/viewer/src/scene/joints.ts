@@ -1,4 +1,4 @@
-/** The joints of a rig and the bones between them, drawn over the surface, and dragged along the screen. */
+/** The joints of a rig and the bones between them, or the points of a guide: drawn over the surface, and dragged along the screen. */
 
 import * as THREE from "three";
 import { disc } from "./markers.ts";
@@ -57,6 +57,13 @@ export class Joints {
     this.points.geometry.setAttribute("color", new THREE.BufferAttribute(Float32Array.from(colours), 3));
     this.points.visible = this.lines.visible = joints.length > 0;
     this.stage.request();
+  }
+
+  /** Lets go of the joint that is dragged; what the button does until it is let go is nobody's. */
+  letGo(): void {
+    if (this.held === undefined) return;
+    this.held = undefined;
+    this.stage.canvas.addEventListener("pointerup", () => (this.stage.orbit.enabled = true), { once: true });
   }
 
   /** The joint whose dot is at this place of the canvas; of several the nearest to the eye. */

@@ -16,7 +16,7 @@ export function HandlePanel(): JSX.Element {
   return (
     <Section title="Handles" note={list.length === 0 ? "none" : String(list.length)}>
       {list.length === 0 && <p class="hint">A model bends between handles: pin what stays, grip what moves.</p>}
-      {list.length === 1 && <p class="hint">With one handle the whole model follows it. Pin a second place.</p>}
+      {list.length === 1 && active?.guide === undefined && <p class="hint">With one handle the whole model follows it. Pin a second place.</p>}
       <ul class="handles">
         {list.map((handle) => (
           <HandleRow key={handle.id} handle={handle} active={handle === active} />
@@ -51,14 +51,51 @@ function HandleRow({ handle, active }: { handle: HandleState; active: boolean })
 }
 
 function Details({ handle }: { handle: HandleState }): JSX.Element {
-  const { id, hold, stiffness, falloff, constrains, rigid } = handle;
+  const { id } = handle;
   const change = (part: Partial<HandleState>): void => void changeHandle(id, part);
-  const foreign = handle.vertices === undefined;
   return (
     <div class="details">
       <Field label="Name">
         <input type="text" value={handle.name} maxLength={40} onChange={(event) => change({ name: event.currentTarget.value || id })} />
       </Field>
+      {handle.guide === undefined ? <Held handle={handle} change={change} /> : <Led handle={handle} change={change} />}
+    </div>
+  );
+}
+
+interface Changing {
+  readonly handle: HandleState;
+  readonly change: (part: Partial<HandleState>) => void;
+}
+
+/** A handle that a curve or a lattice leads. */
+function Led({ handle, change }: Changing): JSX.Element {
+  const { id, pose, guide, stiffness } = handle;
+  return (
+    <>
+      <p class="hint">Drag the points of its {guide?.kind}; the vertices follow them.</p>
+      <Stiffness value={stiffness} change={change} />
+      <div class="row">
+        <span class="gap" />
+        <Button icon="reset" label="Reset" disabled={isAtRest(pose)} onClick={() => void poseHandle(id, AT_REST)} />
+      </div>
+    </>
+  );
+}
+
+function Stiffness({ value, change }: { value: number; change: Changing["change"] }): JSX.Element {
+  return (
+    <Field label="Stiffness" hint="How strongly it pulls, in units of edge weights">
+      <NumberInput label="Stiffness" value={value} min={1e-6} step={0.5} onValue={(stiffness) => change({ stiffness })} />
+    </Field>
+  );
+}
+
+function Held({ handle, change }: Changing): JSX.Element {
+  const { hold, stiffness, falloff, constrains, rigid } = handle;
+  const foreign = handle.vertices === undefined;
+  return (
+    <>
       <Choice
         label="How it holds"
         value={hold}
@@ -71,9 +108,7 @@ function Details({ handle }: { handle: HandleState }): JSX.Element {
       />
       {foreign && <p class="hint">Set elsewhere: this page knows its pose, not its region.</p>}
       {hold === "soft" && (
-        <Field label="Stiffness" hint="How strongly it pulls, in units of edge weights">
-          <NumberInput label="Stiffness" value={stiffness} min={1e-6} step={0.5} onValue={(value) => change({ stiffness: value })} />
-        </Field>
+        <Stiffness value={stiffness} change={change} />
       )}
       <Field label="Fades" hint={hold === "soft" ? "How its pull falls around the region" : "How it gives way inside, up to its border"}>
         <select
@@ -110,7 +145,7 @@ function Details({ handle }: { handle: HandleState }): JSX.Element {
         <Check label="rigid" checked={rigid} onValue={(value) => change({ rigid: value })} />
       </fieldset>
       {hold !== "pin" && <Pose handle={handle} />}
-    </div>
+    </>
   );
 }
 

@@ -22,6 +22,10 @@ export function SelectionPanel(): JSX.Element {
         <Button kind="main" label="Grip" keys="Enter" disabled={none} onClick={() => void makeHandle("grip")} />
         <Button label="Pin" keys="P" disabled={none} onClick={() => void makeHandle("pin")} />
         <Button label="Soft" keys="O" disabled={none} onClick={() => void makeHandle("soft")} />
+      </div>
+      <div class="row">
+        <Button label="Curve" disabled={none} onClick={() => void makeHandle("soft", "curve")} />
+        <Button label="Lattice" disabled={none} onClick={() => void makeHandle("soft", "lattice")} />
         <span class="gap" />
         <Button label="Invert" keys="I" onClick={invertSelection} />
         <Button label="Clear" keys="Escape" disabled={none} onClick={clearSelection} />
