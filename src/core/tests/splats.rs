@@ -384,3 +384,142 @@ fn splats_of_their_own_bend_and_are_cut_and_go_with_what_is_deleted() {
     });
     assert!(results[0] == results[1]);
 }
+
+/// The bar of [`bar`] with its splats in one glTF, under a node that turns and enlarges both; and the names of its harmonics.
+fn gltf_of_bar(node: &str) -> (FileSet, Vec<String>) {
+    let (points, faces) = shapes::box_with_cells(DVec3::new(0.5, 4.0, 0.5), [4, 32, 4]);
+    let points = points.iter().map(|p| *p - DVec3::new(0.25, 0.0, 0.25));
+    let (_, splats, centers) = bar();
+    let rows = rows(&splats.main);
+    let names = [3, 5, 7].iter().zip(1..).flat_map(|(count, degree)| {
+        (0..*count).map(move |k| format!("KHR_gaussian_splatting:SH_DEGREE_{degree}_COEF_{k}"))
+    });
+    let names: Vec<String> = names.collect();
+    let mut lists: Vec<(&str, Vec<f64>)> = vec![
+        ("VEC3", points.flat_map(|p| p.to_array()).collect()),
+        ("VEC3", centers.iter().flat_map(|p| p.to_array()).collect()),
+        ("VEC4", rows.iter().flat_map(|r| [r[11], r[12], r[13], r[10]]).collect()),
+        (
+            "VEC3",
+            rows.iter().flat_map(|r| r[7..10].iter().map(|s| s.exp())).collect(),
+        ),
+    ];
+    for k in 0..15 {
+        let of = |r: &Vec<f64>| [r[14 + k], r[29 + k], r[44 + k]];
+        lists.push(("VEC3", rows.iter().flat_map(of).collect()));
+    }
+    let mut bytes: Vec<u8> = faces.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
+    let corners = 3 * faces.len();
+    let mut views = format!(r#"{{"buffer":0,"byteLength":{}}}"#, bytes.len());
+    let mut accessors = format!(r#"{{"bufferView":0,"componentType":5125,"count":{corners},"type":"SCALAR"}}"#);
+    for (k, (shape, values)) in lists.iter().enumerate() {
+        let (lanes, at) = (if *shape == "VEC4" { 4 } else { 3 }, bytes.len());
+        bytes.extend(values.iter().flat_map(|v| (*v as f32).to_le_bytes()));
+        let bounds = if k < 2 {
+            r#","min":[-9,-9,-9],"max":[9,9,9]"#
+        } else {
+            ""
+        };
+        write!(
+            views,
+            r#",{{"buffer":0,"byteOffset":{at},"byteLength":{}}}"#,
+            4 * values.len()
+        )
+        .expect("memory");
+        write!(
+            accessors,
+            r#",{{"bufferView":{},"componentType":5126,"count":{},"type":"{shape}"{bounds}}}"#,
+            k + 1,
+            values.len() / lanes
+        )
+        .expect("memory");
+    }
+    let harmonics: String = names
+        .iter()
+        .zip(5..)
+        .map(|(name, k)| format!(r#","{name}":{k}"#))
+        .collect();
+    let text = format!(
+        r#"{{"asset":{{"version":"2.0"}},"extensionsUsed":["KHR_gaussian_splatting"],"scenes":[{{"nodes":[0]}}],"scene":0,
+"nodes":[{{"mesh":0{node}}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":1}},"indices":0}},
+{{"mode":0,"attributes":{{"POSITION":2,"KHR_gaussian_splatting:ROTATION":3,"KHR_gaussian_splatting:SCALE":4{harmonics}}},
+"extensions":{{"KHR_gaussian_splatting":{{"kernel":"ellipse","colorSpace":"srgb_rec709_display"}}}}}}]}}],
+"buffers":[{{"uri":"b.bin","byteLength":{}}}],"bufferViews":[{views}],"accessors":[{accessors}]}}"#,
+        bytes.len()
+    );
+    let mut files = FileSet::single("bar.gltf", text);
+    files.companions.insert("b.bin".into(), bytes.into());
+    (files, names)
+}
+
+#[test]
+fn splats_of_a_gltf_turn_with_a_rigid_move_as_the_formula_says() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let own = exp_rotation(DVec3::new(0.3, 0.2, -0.5));
+    let node = format!(
+        r#","rotation":[{},{},{},{}],"scale":[2,2,2],"translation":[1,0.5,-2]"#,
+        own.x, own.y, own.z, own.w
+    );
+    let (files, names) = gltf_of_bar(&node);
+    let mut deformer = Deformer::open(
+        files.clone(),
+        &OpenOptions::default(),
+        &DeformerLimits::default(),
+        &exec,
+    )
+    .expect("a bar");
+    deformer
+        .set_handles([Handle::new("all", Region::half_space([0.0, 0.0, 1.0], -99.0))], &exec)
+        .expect("a handle");
+    let vector = DVec3::new(0.9, -1.3, 0.4);
+    let pose = HandlePose::translation([0.4, 2.0, -1.0])
+        .rotated(vector)
+        .about([0.0; 3]);
+    let solved = deformer
+        .commit([("all", pose)], &SolveSettings::default(), &exec)
+        .expect("solved");
+    let written = deformer.write(&solved.positions, Format::GLTF, &exec).expect("written");
+    assert!(written.warnings.is_empty(), "{:?}", written.warnings);
+    let text = String::from_utf8(written.main).expect("text");
+    assert_eq!(text.matches("componentType").count(), 20, "written where they were");
+
+    // The same motion in the coordinates of the mesh.
+    let turn = own.conjugate() * exp_rotation(vector) * own;
+    let (_, splats, centers) = bar();
+    let mut wanted = Splats::read(splats, Format::PLY, &Limits::default(), &Silent).expect("splats");
+    let space = CarriedSpace {
+        frame: CarriedFrame {
+            position: DVec3::splat(-7.0),
+            rotation: turn,
+            scale: 1.0,
+        },
+        gradient: DMat3::from_quat(turn),
+    };
+    wanted.carry(0, &vec![space; centers.len()], &pool);
+    let wanted = rows(&wanted.write(Format::PLY).expect("written").main);
+    let bytes = written.companions.values().next().expect("a buffer");
+    let before = files.companions["b.bin"].len() - 4 * centers.len() * (4 + 3 + 45);
+    let numbers: Vec<f64> = bytes[before..]
+        .as_chunks::<4>()
+        .0
+        .iter()
+        .map(|b| f64::from(f32::from_le_bytes(*b)))
+        .collect();
+    let (turns, rest) = numbers.split_at(4 * centers.len());
+    let (scales, harmonics) = rest.split_at(3 * centers.len());
+    for (i, wanted) in wanted.iter().enumerate() {
+        let q = DQuat::from_slice(&turns[4 * i..]);
+        let r = DQuat::from_xyzw(wanted[11], wanted[12], wanted[13], wanted[10]);
+        assert!(q.dot(r).abs() > 1.0 - 1e-10, "{q} {r}");
+        for axis in 0..3 {
+            assert!((scales[3 * i + axis] - wanted[7 + axis].exp()).abs() < 1e-6);
+        }
+        for (k, name) in names.iter().enumerate() {
+            for colour in 0..3 {
+                let own = harmonics[3 * (k * centers.len() + i) + colour];
+                assert!((own - wanted[14 + 15 * colour + k]).abs() < 1e-5, "{name} of {i}");
+            }
+        }
+    }
+}

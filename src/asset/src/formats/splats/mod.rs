@@ -3,6 +3,7 @@
 //!
 //! A file comes back in its own format with the numbers changed that the motion changed, or as a fresh file of another one.
 
+mod attributes;
 mod cage;
 mod cells;
 mod cloud;
@@ -15,6 +16,7 @@ mod spz;
 #[cfg(test)]
 mod tests;
 
+pub(super) use attributes::SplatAttributes;
 pub use cloud::Splats;
 pub(super) use model::SplatModelCodec;
 pub use motion::{SplatMotion, SplatPlaces};
