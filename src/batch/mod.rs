@@ -208,7 +208,7 @@ impl<'a> BatchRun<'a> {
         exec: &Exec<'_>,
     ) -> Result<Self, Error> {
         let create = open_options(&job.create.clone().unwrap_or_default())?;
-        let riders = Riders::read(&create.passengers, &limits.model)?;
+        let riders = Riders::read(&create, &limits.model)?;
         let mut deformer = Deformer::open(files, &create, limits, exec)?;
         deformer.set_handles(handle_set(&handles_request(job))?, exec)?;
         Ok(Self {

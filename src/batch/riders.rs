@@ -1,7 +1,7 @@
 //! What a job carries along with its model outside of the mesh: nodes of its file, points and other models.
 
 use crate::asset::{Limits, WrittenFiles};
-use crate::engine::{CarriedNode, Deformer, Passenger, PassengerKind, RidingFile};
+use crate::engine::{CarriedNode, Deformer, OpenOptions, PassengerKind, RidingFile};
 use crate::exec::Exec;
 use crate::mesh::carry::CarriedFrame;
 use crate::progress::Silent;
@@ -37,13 +37,13 @@ enum RiderKind {
 }
 
 impl Riders {
-    /// Reads those of `passengers` that are not in the mesh.
+    /// Reads those passengers that are not in the mesh.
     ///
     /// # Errors
     /// [`Error::Invalid`] with the passenger for a file that is not a model, or a repeated path.
-    pub fn read(passengers: &[Passenger], limits: &Limits) -> Result<Self, Error> {
+    pub fn read(options: &OpenOptions, limits: &Limits) -> Result<Self, Error> {
         let mut riders: Vec<Rider> = Vec::new();
-        for (k, passenger) in passengers.iter().enumerate() {
+        for (k, passenger) in options.passengers.iter().enumerate() {
             let kind = match &passenger.kind {
                 PassengerKind::Primitive(_) | PassengerKind::PrimitivesNamed(_) => continue,
                 PassengerKind::Node(_) | PassengerKind::NodesNamed(_) => RiderKind::Nodes(k),
@@ -64,7 +64,8 @@ impl Riders {
                         return Err(Error::invalid(format!("passengers[{k}].file.output"), problem));
                     }
                     let path = file.path.clone();
-                    let file = RidingFile::read(file.clone(), limits, &Silent)
+                    let rule = options.following.large_splats;
+                    let file = RidingFile::read(file.clone(), rule, limits, &Silent)
                         .map_err(|e| Error::invalid(format!("passengers[{k}].file"), e.to_string()))?;
                     RiderKind::File { file, path }
                 }

@@ -21,7 +21,7 @@ use std::time::Instant;
 /// Arguments of `pliant deform`.
 #[derive(Debug, Args)]
 pub struct DeformArgs {
-    /// Model file: glb (or vrm), gltf, obj, ply, off, stl or fbx
+    /// Model file: glb (or vrm), gltf, obj, ply, off, stl, fbx, splat or spz
     model: PathBuf,
     /// Job file: handles, steps and options as JSON
     #[arg(long)]
@@ -239,11 +239,6 @@ pub(super) fn read_named_models(job: &mut pb::Job, place: &str, files: &NamedFil
         if let Some(file::Source::File(name)) = &file.source {
             let bytes = models.read_once(name, || format!("{place}passengers[{k}].file.file"))?;
             report_format(&mut file.format, name);
-            if file.format.is_empty() {
-                // A file of splats may have no mark that names its format.
-                let reported = Format::of_passenger_file(name);
-                file.format = reported.map_or_else(String::new, |f| f.name().to_owned());
-            }
             file.source = Some(file::Source::Model(bytes));
         }
     }

@@ -58,6 +58,8 @@ pub struct Limits {
     pub document_bytes: u64,
     /// Whether primitives of points and lines in a glTF are read. Sessions from before this was possible do without.
     pub points_and_lines: bool,
+    /// About how many triangles the surface around a model of Gaussian splats has.
+    pub cage_triangles: u32,
 }
 
 impl Default for Limits {
@@ -68,11 +70,15 @@ impl Default for Limits {
             decoded_bytes: 4 << 30,
             document_bytes: 4 << 30,
             points_and_lines: true,
+            cage_triangles: Self::CAGE_TRIANGLES,
         }
     }
 }
 
 impl Limits {
+    /// The default of [`Limits::cage_triangles`]. Records lack it: never change it.
+    pub const CAGE_TRIANGLES: u32 = 20_000;
+
     /// For reading again what was already read once within the caller's limits.
     pub(super) const UNLIMITED: Self = Self {
         vertices: u64::MAX,
@@ -80,6 +86,7 @@ impl Limits {
         decoded_bytes: u64::MAX,
         document_bytes: u64::MAX,
         points_and_lines: true,
+        cage_triangles: Self::CAGE_TRIANGLES,
     };
 
     /// Refuses more render vertices than allowed.

@@ -1,6 +1,7 @@
 //! What else of a file follows when the shape of its model changes: by rule, by motions of nodes, and how much did, in numbers.
 
 use glam::DAffine3;
+use pliant_exec::Exec;
 use std::collections::BTreeMap;
 
 /// What becomes of morph targets.
@@ -43,6 +44,16 @@ pub enum BoneLengthRule {
     KeepBelow(Vec<String>),
 }
 
+/// What becomes of Gaussian splats that are larger than the bend around them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LargeSplatRule {
+    /// They are divided along their longest axis into three, which may be divided again.
+    #[default]
+    Divide,
+    /// They turn and stretch as a whole, and their ends stand off.
+    Keep,
+}
+
 /// What follows the shape of a model into its file. The default is that everything does; formats that hold nothing of the
 /// kind are not concerned.
 ///
@@ -59,6 +70,8 @@ pub struct Following {
     pub rig: RigRule,
     /// The lengths of bones, where joints follow.
     pub bone_lengths: BoneLengthRule,
+    /// Gaussian splats that are larger than the bend around them.
+    pub large_splats: LargeSplatRule,
 }
 
 /// How many joints are listed by name.
@@ -182,12 +195,14 @@ static NO_MOTIONS: NodeMotions = NodeMotions::new();
 /// let followers = ShapeFollowers::from(Following::default());
 /// assert!(followers.nodes.is_empty());
 /// ```
-#[derive(Debug, Clone)]
+#[derive(Clone)]
 pub struct ShapeFollowers<'a> {
     /// What becomes of morph targets and skeletons.
     pub rules: Following,
     /// Rigid motions of nodes of the first base's file, none of them a joint. Their children move with them.
     pub nodes: &'a NodeMotions,
+    /// Where splats are carried along; on a thread of its own without it.
+    pub exec: Option<Exec<'a>>,
 }
 
 impl From<Following> for ShapeFollowers<'_> {
@@ -195,6 +210,7 @@ impl From<Following> for ShapeFollowers<'_> {
         Self {
             rules,
             nodes: &NO_MOTIONS,
+            exec: None,
         }
     }
 }

@@ -41,11 +41,11 @@ mod write;
 pub use edited::{BaseModel, CapLooks, EditedModel, PrimitiveRun, VertexBlend, VertexBlends};
 pub use files::{FileSet, Limits, WrittenFiles, WrittenWarning};
 pub use following::{
-    BoneLengthRule, FollowedCounts, Following, JointTravel, ModelNode, MorphTargetRule, NodeMotions, RigRule,
-    ShapeFollowers,
+    BoneLengthRule, FollowedCounts, Following, JointTravel, LargeSplatRule, ModelNode, MorphTargetRule, NodeMotions,
+    RigRule, ShapeFollowers,
 };
 pub use format::{Error, Format};
-pub use formats::{Splats, gltf_extension_table};
+pub use formats::{SplatMotion, SplatPlaces, Splats, gltf_extension_table};
 pub use geometry::{Geometry, Primitive, VertexCache};
 pub use look::{AlphaMode, BaseMaterial, DrawnModel, SurfaceLook, TextureUse, TextureWrap};
 pub use model::Model;

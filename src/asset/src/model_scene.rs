@@ -1,6 +1,6 @@
 //! What a model looks like, what moves in its scene, and its rest pose with the frames of an animation, as a GLB that any engine plays.
 
-use super::formats::{codec_of, writer_of};
+use super::formats::writer_of;
 use super::look::{DrawnModel, SurfaceLook};
 use super::moving_scene::{
     ClipBeside, MorphClip, MovingScene, NodeKeys, PlayedClip, PlayedJoint, PrimitiveShapes, SceneClip, SkinnedClip,
@@ -29,7 +29,7 @@ impl Model {
     /// # Ok::<(), pliant_asset::Error>(())
     /// ```
     pub fn drawn(&self) -> Result<DrawnModel, Error> {
-        let codec = codec_of(self.format);
+        let codec = self.codec();
         let look = match codec.surface_look(self)? {
             None if codec.takes_attributes() => return self.drawn_with_copies(),
             None => SurfaceLook::of_materials(self.primitives.iter().map(|_| None)),
@@ -65,7 +65,7 @@ impl Model {
     /// # Errors
     /// [`Error`] when what places vertices cannot be read.
     pub fn moving_scene(&self) -> Result<Option<MovingScene>, Error> {
-        codec_of(self.format).moving_scene(self)
+        self.codec().moving_scene(self)
     }
 
     /// Reads a clip by its number in [`MovingScene::clip_names`]; `None` where there is none.
@@ -73,7 +73,7 @@ impl Model {
     /// # Errors
     /// [`Error`] with the channel that cannot be read: one that names what is not there, or whose numbers do not fit.
     pub fn scene_clip(&self, index: usize) -> Result<Option<SceneClip>, Error> {
-        codec_of(self.format).scene_clip(self, index)
+        self.codec().scene_clip(self, index)
     }
 
     /// Where the vertices of all primitives are stored, and what their morph targets do to them, in the order of
@@ -82,7 +82,7 @@ impl Model {
     /// # Errors
     /// [`Error`] for targets that cannot be read, or are too many.
     pub fn primitive_shapes(&self) -> Result<Option<Vec<PrimitiveShapes>>, Error> {
-        codec_of(self.format).primitive_shapes(self)
+        self.codec().primitive_shapes(self)
     }
 }
 

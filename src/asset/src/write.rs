@@ -3,7 +3,7 @@
 use super::codec::{EditedOutput, FormatCodec, PatchedOutput, Translation};
 use super::edited::{self, BaseModel, CapLooks, CarriedAttributes, EditedModel, PrimitiveRun, RunFaces, VertexBlends};
 use super::files::ReadWatch;
-use super::formats::{codec_of, refuse_as_model, translator_of, writer_of};
+use super::formats::{codec_of, reader_of, translator_of};
 use super::model::is_same;
 use super::neutral::{NeutralModel, RunAttributes, RunPart};
 use super::{
@@ -49,7 +49,6 @@ impl Model {
         limits: &Limits,
         progress: &dyn Progress,
     ) -> Result<Self, Error> {
-        refuse_as_model(&files, format)?;
         let model = Self::read_passenger(files, format, limits, progress)?;
         model.geometry.require_triangles(model.format)?;
         Ok(model)
@@ -86,7 +85,7 @@ impl Model {
             model.geometry.warnings.splice(0..0, warnings);
             return Ok(model);
         }
-        let (geometry, notes) = codec_of(format).read(&files, format, &watch)?;
+        let (geometry, notes) = reader_of(&files, format).read(&files, format, &watch)?;
         geometry.check(format, limits)?;
         Ok(Self {
             format,
@@ -104,7 +103,7 @@ impl Model {
     /// [`Error::Cancelled`]. Where something cannot be read, no two vertices are alike.
     pub fn vertex_attributes(&self, progress: &dyn Progress) -> Result<&VertexAttributes, Error> {
         if self.attributes.get().is_none() {
-            let codec = codec_of(self.format);
+            let codec = self.codec();
             let read =
                 VertexAttributes::gather(&self.geometry, |keys| codec.distinguish_vertices(self, keys), progress)?;
             // Another thread may have read the same meanwhile.
@@ -196,7 +195,7 @@ impl Model {
             });
         }
         check_precision(format, positions, &self.geometry.triangles)?;
-        let codec = writer_of(format)?;
+        let codec = self.writer(format)?;
         if codec.patches_files_of(self.format) {
             return codec.patch_positions(&PatchedOutput {
                 model: self,
@@ -215,7 +214,7 @@ impl Model {
             NeutralModel::from_geometry(self.geometry.deformed(positions))
         };
         let mut written = codec.build(&neutral, format)?;
-        let beyond = codec_of(self.format).beyond_conversion(self, false)?;
+        let beyond = self.codec().beyond_conversion(self, false)?;
         written.warnings.extend(WrittenWarning::left_out(&beyond, format, ""));
         Ok(written)
     }
@@ -225,7 +224,7 @@ impl Model {
     /// # Errors
     /// [`Error`] when the files cannot be read again.
     pub fn joint_names(&self) -> Result<Vec<String>, Error> {
-        Ok(codec_of(self.format).joint_names(self)?.into_iter().collect())
+        Ok(self.codec().joint_names(self)?.into_iter().collect())
     }
 
     /// The nodes of the model's file, by their index there; `None` for a model of a format without nodes, which all but glTF are.
@@ -233,7 +232,7 @@ impl Model {
     /// # Errors
     /// [`Error`] when the files cannot be read again.
     pub fn nodes(&self) -> Result<Option<Vec<ModelNode>>, Error> {
-        codec_of(self.format).nodes(self)
+        self.codec().nodes(self)
     }
 }
 
@@ -267,7 +266,7 @@ pub fn missing_companions(files: &FileSet) -> Vec<String> {
 /// # Errors
 /// [`Error::Malformed`] for lines that cannot be read.
 pub fn line_segments(edited: &EditedModel<'_>) -> Result<Vec<[u32; 2]>, Error> {
-    edited::segments_of(edited, |model| codec_of(model.format).segments(model))
+    edited::segments_of(edited, |model| model.codec().segments(model))
 }
 
 /// Writes an edited model with its vertices at `positions` (in world space, one per vertex of the blends).
@@ -349,12 +348,12 @@ fn write_checked_edit(
     let Some(first) = edited.bases.first() else {
         return Err(Error::unwritable(format, "there is no base"));
     };
-    let codec = writer_of(format)?;
+    let codec = first.model.writer(format)?;
     let is_whole = codec.patches_files_of(first.model.format);
     let mut beyond = Vec::new();
     for (k, base) in edited.bases.iter().enumerate().skip(usize::from(is_whole)) {
         let is_merged = is_whole && codec.patches_files_of(base.model.format);
-        let things = codec_of(base.model.format).beyond_conversion(base.model, is_merged)?;
+        let things = base.model.codec().beyond_conversion(base.model, is_merged)?;
         let of = if k == 0 {
             String::new()
         } else {
@@ -411,7 +410,7 @@ fn file_stem(name: &str) -> String {
 /// The faces of a run, where some have more than three corners.
 fn faces_of_run(edited: &EditedModel<'_>, run: &PrimitiveRun) -> Option<RunFaces> {
     let model = edited.base(run).model;
-    let outlines = codec_of(model.format).face_outlines(model)?;
+    let outlines = model.codec().face_outlines(model)?;
     RunFaces::of_run(edited, run, outlines)
 }
 
@@ -474,7 +473,7 @@ fn add_base(
     let Some(held) = edited.bases.get(base as usize).filter(|_| !runs.is_empty()) else {
         return Ok(());
     };
-    let source = codec_of(held.model.format);
+    let source = held.model.codec();
     let divides = codec_of(format).divides_at_seams();
     // Read once for all runs, and not at all for those that are divided.
     let mut attributes = None;

@@ -1,7 +1,7 @@
 //! Gaussian splats carried along with a posed model.
 
 use glam::{DMat3, DQuat, DVec3};
-use pliant_core::asset::{FileSet, Format, Limits, Splats, shapes};
+use pliant_core::asset::{FileSet, Following, Format, LargeSplatRule, Limits, Splats, shapes};
 use pliant_core::engine::{
     CarriedModel, Deformer, DeformerLimits, Handle, HandlePose, OpenOptions, Region, SolveSettings,
 };
@@ -66,8 +66,18 @@ fn splats_at(centers: &[DVec3], length: f64) -> String {
 }
 
 fn posed(pose: HandlePose, exec: &Exec<'_>) -> (Deformer, Vec<DVec3>) {
-    let mut deformer =
-        Deformer::open(bar().0, &OpenOptions::default(), &DeformerLimits::default(), exec).expect("a bar");
+    bent_bar(LargeSplatRule::Divide, pose, exec)
+}
+
+fn bent_bar(large_splats: LargeSplatRule, pose: HandlePose, exec: &Exec<'_>) -> (Deformer, Vec<DVec3>) {
+    let options = OpenOptions {
+        following: Following {
+            large_splats,
+            ..Following::default()
+        },
+        ..OpenOptions::default()
+    };
+    let mut deformer = Deformer::open(bar().0, &options, &DeformerLimits::default(), exec).expect("a bar");
     let handles = [
         Handle::new("low", Region::half_space([0.0, -1.0, 0.0], -0.5)),
         Handle::new("high", Region::half_space([0.0, 1.0, 0.0], 3.5)),
@@ -170,17 +180,50 @@ fn splats_bend_with_a_bar_on_any_number_of_threads_and_too_large_ones_are_told()
                 );
             }
         }
-        let large = FileSet::single(
-            "large.ply",
-            splats_at(&[DVec3::new(0.0, 2.0, 0.0), DVec3::new(0.0, 0.2, 0.0)], 0.7),
-        );
-        let large = deformer
-            .carry_model(&positions, carried(large, None), &exec)
-            .expect("carried");
-        assert_eq!(large.warnings.len(), 1);
+        let large = || {
+            let centers = [DVec3::new(0.0, 2.0, 0.0), DVec3::new(0.0, 0.2, 0.0)];
+            FileSet::single("large.ply", splats_at(&centers, 0.7))
+        };
+        let carry = |deformer: &Deformer| {
+            deformer
+                .carry_model(&positions, carried(large(), None), &exec)
+                .expect("carried")
+        };
+        let divided = carry(&deformer);
+        let message = &divided.warnings[0].message;
+        assert!(message.starts_with("1 splat was larger than the bend"), "{message}");
+        assert_eq!(divided.warnings.len(), 1, "{:?}", divided.warnings);
+        let parts = self::rows(&divided.main);
+        assert!((4..=30).contains(&parts.len()), "{}", parts.len());
         assert!(
-            large.warnings[0].message.starts_with("1 splat is larger than the bend"),
-            "{large:?}"
+            message.contains(&format!("the file has {} splats", parts.len())),
+            "{message}"
+        );
+        // They lie in a row along the bar, where its middle has gone, and the whole one stays as it is.
+        let (whole, parts) = parts.split_last().expect("a splat");
+        assert!((whole[6] - 2.0).abs() < 1e-6);
+        let axis = |row: &[f64]| DQuat::from_xyzw(row[11], row[12], row[13], row[10]) * DVec3::Y;
+        for part in parts {
+            let place = DVec3::from_slice(part);
+            let near = rows.iter().step_by(4);
+            let near = near.min_by(|a, b| {
+                let away = |row: &[f64]| DVec3::from_slice(row).distance(place);
+                away(a).total_cmp(&away(b))
+            });
+            let near = near.expect("a splat");
+            assert!(DVec3::from_slice(near).distance(place) < 0.1, "{part:?}");
+            assert!(axis(part).dot(axis(near)) > 0.95, "{part:?} {near:?}");
+        }
+        let kept = bent_bar(
+            LargeSplatRule::Keep,
+            HandlePose::translation([1.1, -0.7, 0.0]).rotated([0.0, 0.0, -1.2]),
+            &exec,
+        );
+        let kept = carry(&kept.0);
+        assert_eq!(self::rows(&kept.main).len(), 2);
+        assert!(
+            kept.warnings[0].message.starts_with("1 splat is larger than the bend"),
+            "{kept:?}"
         );
         written.main
     });
@@ -221,21 +264,262 @@ fn the_gradient_inside_and_on_a_stretched_body_is_that_of_the_stretch() {
 }
 
 #[test]
-fn splats_are_no_model_and_no_mesh() {
+fn a_mesh_is_not_written_as_splats_and_splats_not_as_a_mesh_and_not_merged() {
     let pool = Pool::new(1).expect("a thread");
     let exec = Exec::new(&pool, &Silent);
     let (files, splats, _) = bar();
     let limits = DeformerLimits::default();
-    let opened = Deformer::open(splats.clone(), &OpenOptions::default(), &limits, &exec);
-    let refused = opened.err().expect("no surface").to_string();
-    assert!(
-        refused.contains("Gaussian splats") && refused.contains("passenger"),
-        "{refused}"
-    );
     let deformer = Deformer::open(files.clone(), &OpenOptions::default(), &limits, &exec).expect("a bar");
     let rest = deformer.rest().to_vec();
+    let refused = deformer
+        .write(&rest, Format::SPLAT, &exec)
+        .expect_err("no splats")
+        .to_string();
+    assert!(refused.contains("no Gaussian splats"), "{refused}");
     for (files, output) in [(splats, Format::OBJ), (files, Format::SPZ)] {
         let refused = deformer.carry_model(&rest, carried(files, Some(output)), &exec);
         assert!(refused.expect_err("refused").to_string().contains("Gaussian splats"));
+    }
+}
+
+/// The splats of [`bar`] as a model of their own.
+fn own_model(splats: &FileSet, exec: &Exec<'_>) -> Deformer {
+    let limits = DeformerLimits::default();
+    Deformer::open(splats.clone(), &OpenOptions::default(), &limits, exec).expect("splats")
+}
+
+#[test]
+fn splats_of_their_own_turn_with_a_rigid_move_as_the_formula_says() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let (_, splats, centers) = bar();
+    let mut deformer = own_model(&splats, &exec);
+    let primitives = &deformer.geometry().primitives;
+    let names: Vec<&str> = primitives.iter().map(|p| p.name.as_str()).collect();
+    assert_eq!(names, ["splats", "cage"]);
+    assert_eq!(primitives[0].vertex_count as usize, centers.len());
+    assert!(deformer.report().closed, "{:?}", deformer.report().warnings);
+    let unmoved = deformer
+        .write(&deformer.rest().to_vec(), Format::PLY, &exec)
+        .expect("written");
+    assert_eq!(unmoved.main, splats.main, "what has not moved is the file as it came");
+
+    let (turn, offset) = (exp_rotation(DVec3::new(0.9, -1.3, 0.4)), DVec3::new(0.4, 2.0, -1.0));
+    deformer
+        .set_handles([Handle::new("all", Region::half_space([0.0, 1.0, 0.0], -1.0))], &exec)
+        .expect("a handle");
+    let pose = HandlePose::translation(offset.to_array())
+        .rotated([0.9, -1.3, 0.4])
+        .about([0.0; 3]);
+    let solved = deformer
+        .commit([("all", pose)], &SolveSettings::default(), &exec)
+        .expect("solved");
+    let written = deformer.write(&solved.positions, Format::PLY, &exec).expect("written");
+    let mut wanted = Splats::read(splats, Format::PLY, &Limits::default(), &Silent).expect("splats");
+    let spaces = wanted.centers().iter().map(|center| CarriedSpace {
+        frame: CarriedFrame {
+            position: turn * *center + offset,
+            rotation: turn,
+            scale: 1.0,
+        },
+        gradient: DMat3::from_quat(turn),
+    });
+    let spaces: Vec<CarriedSpace> = spaces.collect();
+    wanted.carry(0, &spaces, &pool);
+    let wanted = wanted.write(Format::PLY).expect("written");
+    for (row, wanted) in rows(&written.main).iter().zip(rows(&wanted.main)) {
+        assert!(
+            row.iter().zip(&wanted).all(|(a, b)| (a - b).abs() < 1e-5),
+            "{row:?} {wanted:?}"
+        );
+    }
+}
+
+#[test]
+fn splats_of_their_own_bend_and_are_cut_and_go_with_what_is_deleted() {
+    let results = [1, 4].map(|threads| {
+        let pool = Pool::new(threads).expect("threads");
+        let exec = Exec::new(&pool, &Silent);
+        let (_, splats, centers) = bar();
+        let mut deformer = own_model(&splats, &exec);
+        let handles = [
+            Handle::new("low", Region::half_space([0.0, -1.0, 0.0], -0.5)),
+            Handle::new("high", Region::half_space([0.0, 1.0, 0.0], 3.5)),
+        ];
+        deformer.set_handles(handles, &exec).expect("handles");
+        let pose = HandlePose::translation([1.1, -0.7, 0.0]).rotated([0.0, 0.0, -1.2]);
+        let solved = deformer
+            .commit([("high", pose)], &SolveSettings::default(), &exec)
+            .expect("solved");
+        let positions = solved.positions.to_vec();
+        let written = deformer.write(&positions, Format::PLY, &exec).expect("written");
+        assert!(written.warnings.is_empty(), "{:?}", written.warnings);
+        let bent = rows(&written.main);
+        for (row, position) in bent.iter().zip(&positions) {
+            assert!(DVec3::from_slice(row).distance(*position) < 1e-6, "as in frames");
+            assert_eq!(row[3..7], [0.5, -0.25, 0.125, 2.0]);
+        }
+        for column in 0..4 {
+            for k in 4..36 {
+                let at = |k: usize| DVec3::from_slice(&bent[4 * k + column]);
+                let along = (at(k + 1) - at(k - 1)).normalize();
+                let row = &bent[4 * k + column];
+                let turn = DQuat::from_xyzw(row[11], row[12], row[13], row[10]);
+                assert!((turn * DVec3::Y).dot(along) > 0.98, "splat {k} of column {column}");
+            }
+        }
+        // Another format of splats holds them all, one of meshes the surface around them.
+        let packed = deformer.write(&positions, Format::SPZ, &exec).expect("written");
+        let packed = FileSet::single("a.spz", packed.main);
+        let packed = Splats::read(packed, Format::SPZ, &Limits::default(), &Silent).expect("readable");
+        assert_eq!(packed.len(), centers.len());
+        let surface = deformer.write(&positions, Format::OBJ, &exec).expect("written");
+        assert!(
+            surface
+                .warnings
+                .iter()
+                .any(|w| w.message.contains("160 Gaussian splats"))
+        );
+        written.main
+    });
+    assert!(results[0] == results[1]);
+}
+
+/// The bar of [`bar`] with its splats in one glTF, under a node that turns and enlarges both; and the names of its harmonics.
+fn gltf_of_bar(node: &str) -> (FileSet, Vec<String>) {
+    let (points, faces) = shapes::box_with_cells(DVec3::new(0.5, 4.0, 0.5), [4, 32, 4]);
+    let points = points.iter().map(|p| *p - DVec3::new(0.25, 0.0, 0.25));
+    let (_, splats, centers) = bar();
+    let rows = rows(&splats.main);
+    let names = [3, 5, 7].iter().zip(1..).flat_map(|(count, degree)| {
+        (0..*count).map(move |k| format!("KHR_gaussian_splatting:SH_DEGREE_{degree}_COEF_{k}"))
+    });
+    let names: Vec<String> = names.collect();
+    let mut lists: Vec<(&str, Vec<f64>)> = vec![
+        ("VEC3", points.flat_map(|p| p.to_array()).collect()),
+        ("VEC3", centers.iter().flat_map(|p| p.to_array()).collect()),
+        ("VEC4", rows.iter().flat_map(|r| [r[11], r[12], r[13], r[10]]).collect()),
+        (
+            "VEC3",
+            rows.iter().flat_map(|r| r[7..10].iter().map(|s| s.exp())).collect(),
+        ),
+    ];
+    for k in 0..15 {
+        let of = |r: &Vec<f64>| [r[14 + k], r[29 + k], r[44 + k]];
+        lists.push(("VEC3", rows.iter().flat_map(of).collect()));
+    }
+    let mut bytes: Vec<u8> = faces.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
+    let corners = 3 * faces.len();
+    let mut views = format!(r#"{{"buffer":0,"byteLength":{}}}"#, bytes.len());
+    let mut accessors = format!(r#"{{"bufferView":0,"componentType":5125,"count":{corners},"type":"SCALAR"}}"#);
+    for (k, (shape, values)) in lists.iter().enumerate() {
+        let (lanes, at) = (if *shape == "VEC4" { 4 } else { 3 }, bytes.len());
+        bytes.extend(values.iter().flat_map(|v| (*v as f32).to_le_bytes()));
+        let bounds = if k < 2 {
+            r#","min":[-9,-9,-9],"max":[9,9,9]"#
+        } else {
+            ""
+        };
+        write!(
+            views,
+            r#",{{"buffer":0,"byteOffset":{at},"byteLength":{}}}"#,
+            4 * values.len()
+        )
+        .expect("memory");
+        write!(
+            accessors,
+            r#",{{"bufferView":{},"componentType":5126,"count":{},"type":"{shape}"{bounds}}}"#,
+            k + 1,
+            values.len() / lanes
+        )
+        .expect("memory");
+    }
+    let harmonics: String = names
+        .iter()
+        .zip(5..)
+        .map(|(name, k)| format!(r#","{name}":{k}"#))
+        .collect();
+    let text = format!(
+        r#"{{"asset":{{"version":"2.0"}},"extensionsUsed":["KHR_gaussian_splatting"],"scenes":[{{"nodes":[0]}}],"scene":0,
+"nodes":[{{"mesh":0{node}}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":1}},"indices":0}},
+{{"mode":0,"attributes":{{"POSITION":2,"KHR_gaussian_splatting:ROTATION":3,"KHR_gaussian_splatting:SCALE":4{harmonics}}},
+"extensions":{{"KHR_gaussian_splatting":{{"kernel":"ellipse","colorSpace":"srgb_rec709_display"}}}}}}]}}],
+"buffers":[{{"uri":"b.bin","byteLength":{}}}],"bufferViews":[{views}],"accessors":[{accessors}]}}"#,
+        bytes.len()
+    );
+    let mut files = FileSet::single("bar.gltf", text);
+    files.companions.insert("b.bin".into(), bytes.into());
+    (files, names)
+}
+
+#[test]
+fn splats_of_a_gltf_turn_with_a_rigid_move_as_the_formula_says() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let own = exp_rotation(DVec3::new(0.3, 0.2, -0.5));
+    let node = format!(
+        r#","rotation":[{},{},{},{}],"scale":[2,2,2],"translation":[1,0.5,-2]"#,
+        own.x, own.y, own.z, own.w
+    );
+    let (files, names) = gltf_of_bar(&node);
+    let mut deformer = Deformer::open(
+        files.clone(),
+        &OpenOptions::default(),
+        &DeformerLimits::default(),
+        &exec,
+    )
+    .expect("a bar");
+    deformer
+        .set_handles([Handle::new("all", Region::half_space([0.0, 0.0, 1.0], -99.0))], &exec)
+        .expect("a handle");
+    let vector = DVec3::new(0.9, -1.3, 0.4);
+    let pose = HandlePose::translation([0.4, 2.0, -1.0])
+        .rotated(vector)
+        .about([0.0; 3]);
+    let solved = deformer
+        .commit([("all", pose)], &SolveSettings::default(), &exec)
+        .expect("solved");
+    let written = deformer.write(&solved.positions, Format::GLTF, &exec).expect("written");
+    assert!(written.warnings.is_empty(), "{:?}", written.warnings);
+    let text = String::from_utf8(written.main).expect("text");
+    assert_eq!(text.matches("componentType").count(), 20, "written where they were");
+
+    // The same motion in the coordinates of the mesh.
+    let turn = own.conjugate() * exp_rotation(vector) * own;
+    let (_, splats, centers) = bar();
+    let mut wanted = Splats::read(splats, Format::PLY, &Limits::default(), &Silent).expect("splats");
+    let space = CarriedSpace {
+        frame: CarriedFrame {
+            position: DVec3::splat(-7.0),
+            rotation: turn,
+            scale: 1.0,
+        },
+        gradient: DMat3::from_quat(turn),
+    };
+    wanted.carry(0, &vec![space; centers.len()], &pool);
+    let wanted = rows(&wanted.write(Format::PLY).expect("written").main);
+    let bytes = written.companions.values().next().expect("a buffer");
+    let before = files.companions["b.bin"].len() - 4 * centers.len() * (4 + 3 + 45);
+    let numbers: Vec<f64> = bytes[before..]
+        .as_chunks::<4>()
+        .0
+        .iter()
+        .map(|b| f64::from(f32::from_le_bytes(*b)))
+        .collect();
+    let (turns, rest) = numbers.split_at(4 * centers.len());
+    let (scales, harmonics) = rest.split_at(3 * centers.len());
+    for (i, wanted) in wanted.iter().enumerate() {
+        let q = DQuat::from_slice(&turns[4 * i..]);
+        let r = DQuat::from_xyzw(wanted[11], wanted[12], wanted[13], wanted[10]);
+        assert!(q.dot(r).abs() > 1.0 - 1e-10, "{q} {r}");
+        for axis in 0..3 {
+            assert!((scales[3 * i + axis] - wanted[7 + axis].exp()).abs() < 1e-6);
+        }
+        for (k, name) in names.iter().enumerate() {
+            for colour in 0..3 {
+                let own = harmonics[3 * (k * centers.len() + i) + colour];
+                assert!((own - wanted[14 + 15 * colour + k]).abs() < 1e-5, "{name} of {i}");
+            }
+        }
     }
 }

@@ -95,7 +95,7 @@ pub(super) fn limits_left(config: &SessionConfig, quotas: pb::Quotas, max_ttl: D
 /// `INVALID_ARGUMENT` on `field`, with the names that are allowed.
 pub(super) fn parse_format_name(field: &str, name: &str) -> Result<Format, Error> {
     let format = Format::from_name(name).ok_or_else(|| {
-        let names = Format::ALL.map(Format::name).join(", ");
+        let names = Format::name_list("and");
         let shown: String = name.chars().take(64).collect();
         Error::invalid(field, format!("\"{shown}\" is not a format; allowed are {names}"))
     })?;

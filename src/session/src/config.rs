@@ -195,6 +195,7 @@ impl SessionConfig {
                 decoded_bytes: memory_bytes,
                 document_bytes: memory_bytes,
                 points_and_lines: true,
+                cage_triangles: pliant_asset::Limits::CAGE_TRIANGLES,
             },
             memory_bytes,
             graph_bytes: None,

@@ -6,7 +6,7 @@ use super::check::{enumerated, number, plain_text};
 use super::facts::following;
 use super::passengers::{passengers, require_own_passengers};
 use super::{Error, pb};
-use pliant_asset::Format;
+use pliant_asset::{Format, Limits};
 use pliant_core::engine::{KeptApart, OpenOptions};
 use pliant_deform::{BodyOptions, CoarseOperators, EdgeWeights, FreePartPolicy, TieOptions, VolumeMode};
 use pliant_mesh::Weld;
@@ -16,6 +16,8 @@ use std::time::Duration;
 
 /// Most numbers in one list of parts to be kept apart.
 const MOST_KEPT_APART: usize = 1 << 16;
+/// How many triangles the surface around a model of splats may have.
+const CAGE_TRIANGLES: RangeInclusive<u32> = 500..=200_000;
 /// The longest label, in bytes.
 const LONGEST_LABEL: usize = 256;
 
@@ -196,8 +198,25 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
         passengers: passengers(&create.passengers)?,
         following: following(create)?,
         kept_apart: kept_apart(create.keep_apart.as_ref())?,
+        cage_triangles: cage_triangles(create.cage_triangles)?,
         ..OpenOptions::default()
     })
+}
+
+/// How many triangles the surface around splats has.
+fn cage_triangles(given: u32) -> Result<u32, Error> {
+    match given {
+        0 => Ok(Limits::CAGE_TRIANGLES),
+        _ if CAGE_TRIANGLES.contains(&given) => Ok(given),
+        _ => {
+            let (least, most) = (CAGE_TRIANGLES.start(), CAGE_TRIANGLES.end());
+            let problem = format!(
+                "is {given}, allowed are {least} to {most}, or 0 for {}",
+                Limits::CAGE_TRIANGLES
+            );
+            Err(Error::invalid("cageTriangles", problem))
+        }
+    }
 }
 
 /// The format of that name; `None` of no name.

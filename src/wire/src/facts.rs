@@ -7,7 +7,8 @@ use super::poses::handle_pose_message;
 use super::{Error, pb};
 use glam::DVec3;
 use pliant_asset::{
-    BoneLengthRule, FollowedCounts, Following, MorphTargetRule, Primitive, RigRule, WrittenFiles, WrittenWarning,
+    BoneLengthRule, FollowedCounts, Following, LargeSplatRule, MorphTargetRule, Primitive, RigRule, WrittenFiles,
+    WrittenWarning,
 };
 use pliant_core::engine::{
     DeformerFacts, DeformerWarning, FoundTurn, HandlePose, HandlePoses, LoosePart, QualityReport, WarningPlace,
@@ -215,10 +216,15 @@ pub(super) fn following(create: &pb::CreateOptions) -> Result<Following, Error> 
             "is empty; the name of a joint is needed",
         ));
     }
+    let large_splats = match enumerated(create.large_splats, "largeSplats")? {
+        pb::create_options::large_splats::Rule::Divide => LargeSplatRule::Divide,
+        pb::create_options::large_splats::Rule::Keep => LargeSplatRule::Keep,
+    };
     Ok(Following {
         morph_targets,
         rig,
         bone_lengths,
+        large_splats,
     })
 }
 

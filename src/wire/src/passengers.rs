@@ -160,12 +160,12 @@ fn passenger_file(file: &pb::passenger::File, at: &str) -> Result<CarriedModel, 
         );
         return Err(Error::invalid(field, problem));
     }
-    let Some(output) = Format::of_passenger_file(&file.output) else {
-        let allowed = Format::passenger_output_list("and");
+    let Some(output) = Format::from_file_name(&file.output) else {
+        let allowed = Format::name_list("and");
         let problem = format!("is \"{}\", its extension must be one of {allowed}", file.output);
         return Err(Error::invalid(field, problem));
     };
-    if let Some(problem) = output.refusal_to_write().filter(|_| !output.holds_splats_alone()) {
+    if let Some(problem) = output.refusal_to_write() {
         return Err(Error::invalid(field, format!("is \"{}\": {problem}", file.output)));
     }
     Ok(CarriedModel {
@@ -180,8 +180,8 @@ fn named_format(name: &str, field: &str) -> Result<Option<Format>, Error> {
     if name.is_empty() {
         return Ok(None);
     }
-    let problem = || format!("is \"{name}\", allowed are {}", Format::passenger_name_list("and"));
-    let format = Format::of_passenger(name);
+    let problem = || format!("is \"{name}\", allowed are {}", Format::read_name_list("and"));
+    let format = Format::from_name(name);
     format.map(Some).ok_or_else(|| Error::invalid(field, problem()))
 }
 

@@ -48,29 +48,34 @@ mod splats;
 mod stl;
 mod text;
 
-pub use splats::Splats;
-pub(super) use splats::refuse_as_model;
+pub use splats::{SplatMotion, SplatPlaces, Splats};
 
-use crate::Error;
 use crate::codec::{FormatCodec, FormatTranslator};
 use crate::format::{Format, Recognition};
+use crate::{Error, FileSet, Model};
+use splats::SplatModelCodec;
 
 /// Makes the constants of [`Format`] and the tables of codecs and translators from the rows of the registry.
 macro_rules! registry {
     (
         read and written { $($(#[$about:meta])* $name:ident = $format:expr, $codec:expr;)* }
         only read { $($(#[$note:meta])* $source:ident = $source_format:expr, $translator:expr;)* }
+        of splats { $($(#[$of:meta])* $cloud:ident = $cloud_format:expr;)* }
     ) => {
         impl Format {
             $($(#[$about])* pub const $name: Self = $format;)*
             $($(#[$note])* pub const $source: Self = $source_format;)*
+            $($(#[$of])* pub const $cloud: Self = $cloud_format;)*
 
-            /// Every format that is read and written, in the order in which texts list them.
+            /// Every format of meshes that is read and written, in the order in which texts list them.
             pub const ALL: [Self; [$(stringify!($name)),*].len()] = [$(Self::$name),*];
 
-            /// Every format that is read: those of [`Format::ALL`], and those whose models become one of them.
-            pub const READ: [Self; [$(stringify!($name),)* $(stringify!($source)),*].len()] =
-                [$(Self::$name,)* $(Self::$source),*];
+            /// Every format that is read: those of [`Format::ALL`], those whose models become one of them, and those of splats.
+            pub const READ: [Self; [$(stringify!($name),)* $(stringify!($source),)* $(stringify!($cloud)),*].len()] =
+                [$(Self::$name,)* $(Self::$source,)* $(Self::$cloud),*];
+
+            /// The formats that hold Gaussian splats and nothing else.
+            pub const SPLATS: [Self; [$(stringify!($cloud)),*].len()] = [$(Self::$cloud),*];
         }
 
         /// The codec of each format, in the order of [`Format::ALL`].
@@ -100,6 +105,12 @@ registry! {
         /// Autodesk FBX; what is made of it is a GLB.
         FBX = fbx::FORMAT, fbx::FbxTranslator;
     }
+    of splats {
+        /// Records of 32 bytes, one for each Gaussian splat.
+        SPLAT = splats::SPLAT_FORMAT;
+        /// Niantic's packed Gaussian splats.
+        SPZ = splats::SPZ_FORMAT;
+    }
 }
 
 /// The translator of a format that is read only; `None` for those with a codec.
@@ -117,32 +128,70 @@ pub(super) fn writer_of(format: Format) -> Result<&'static dyn FormatCodec, Erro
     }
 }
 
-/// The codec that reads and writes a format; every model has been read by one.
 /// What becomes of each extension of glTF when a model's shape changes, as a table of Markdown: that of `deploy/docs/formats.md`.
 pub fn gltf_extension_table() -> String {
     gltf::extension_table()
 }
 
+/// The codec that reads files.
+pub(super) fn reader_of(files: &FileSet, format: Format) -> &'static dyn FormatCodec {
+    match Splats::format_of(files, Some(format)) {
+        Some(_) => &SplatModelCodec,
+        None => codec_of(format),
+    }
+}
+
+impl Model {
+    /// The codec that has read it.
+    pub(super) fn codec(&self) -> &'static dyn FormatCodec {
+        match self.holds_splats() {
+            true => &SplatModelCodec,
+            false => codec_of(self.format),
+        }
+    }
+
+    /// The codec that writes it in a format.
+    ///
+    /// # Errors
+    /// [`Error::Unwritable`] for a format that is read only.
+    pub(super) fn writer(&self, format: Format) -> Result<&'static dyn FormatCodec, Error> {
+        match self.holds_splats() && format.holds_splats() {
+            true => Ok(&SplatModelCodec),
+            false => writer_of(format),
+        }
+    }
+}
+
+/// The codec that reads and writes meshes of a format, or splats.
 pub(super) fn codec_of(format: Format) -> &'static dyn FormatCodec {
+    if format.holds_splats_alone() {
+        return &SplatModelCodec;
+    }
     // A format is made here only and models are of formats with codecs, so the last one stands for none that exists.
     let row = Format::ALL.iter().position(|f| *f == format);
     CODECS[row.unwrap_or(CODECS.len() - 1)]
 }
 
 impl Format {
-    /// The names of the formats that are written, as texts list them: with `and`, "glb, gltf, obj, ply, off and stl".
+    /// The names of the formats that are written, as texts list them: with `and`, "glb, gltf, obj, ply, off, stl, splat and spz".
     pub fn name_list(conjunction: &str) -> String {
-        list_of(&Self::ALL.map(Self::name), conjunction)
+        let written: Vec<&str> = Self::written().map(Self::name).collect();
+        list_of(&written, conjunction)
     }
 
-    /// The names of the formats that are read: with `and`, "glb, gltf, obj, ply, off, stl and fbx".
+    /// Every format that is written: those of meshes, then those of splats.
+    fn written() -> impl Iterator<Item = Self> {
+        Self::ALL.into_iter().chain(Self::SPLATS)
+    }
+
+    /// The names of the formats that are read: with `and`, "glb, gltf, obj, ply, off, stl, fbx, splat and spz".
     pub fn read_name_list(conjunction: &str) -> String {
         list_of(&Self::READ.map(Self::name), conjunction)
     }
 
     /// Why results cannot be had in this format; `None` for those that are written.
     pub fn refusal_to_write(self) -> Option<String> {
-        let is_written = Self::ALL.contains(&self);
+        let is_written = Self::written().any(|format| format == self);
         (!is_written).then(|| format!("{self} is read, not written; choose {}", Self::name_list("or")))
     }
 

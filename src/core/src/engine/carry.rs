@@ -77,9 +77,10 @@ impl Deformer {
             watcher: exec.progress,
         };
         let limits = self.room_limits().of_reading();
-        let mut file = RidingFile::read(passenger, &limits, &beside)?;
+        let rule = self.options.following.large_splats;
+        let mut file = RidingFile::read(passenger, rule, &limits, &beside)?;
         exec.check()?;
-        file.move_along(&self.carrier(positions, exec)?, exec)?;
+        file.move_along(&self.carrier(positions, exec)?, &Exec::new(exec.pool, &beside))?;
         exec.check()?;
         file.write()
     }

@@ -14,7 +14,7 @@ use crate::engine::quality::{measure_quality, warn_of_large_faces};
 use crate::engine::region_context::RegionContext;
 use crate::engine::resolved_handles::{ResolvedHandles, resolve_handles};
 use crate::engine::riding::{RidingNodes, mark_passengers};
-use crate::engine::settings::{DeformerLimits, OpenOptions};
+use crate::engine::settings::{DeformerLimits, HeldBeside, OpenOptions};
 use crate::engine::shape::{ModelShape, ShapeId, TopologyId};
 use crate::engine::stiff::{farthest_off_rigid, find_hard_parts};
 use crate::exec::Exec;
@@ -227,9 +227,14 @@ impl Deformer {
     /// Those of [`Model::write`] and, with nodes that ride along, [`Deformer::carrier`].
     pub fn write(&self, positions: &[DVec3], format: Format, exec: &Exec<'_>) -> Result<WrittenFiles, Error> {
         let motions = self.riding_nodes_at(positions, exec)?.motions();
+        let beside = HeldBeside {
+            held: self.byte_size(),
+            watcher: exec.progress,
+        };
         let followers = ShapeFollowers {
             rules: self.options.following.clone(),
             nodes: &motions,
+            exec: Some(Exec::new(exec.pool, &beside)),
         };
         self.topology().write(positions, format, &followers)
     }

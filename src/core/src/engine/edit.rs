@@ -17,7 +17,7 @@ use super::handle::Region;
 use super::part_families::VertexOrigins;
 use super::quality::{HandleBend, largest_turn};
 use super::region_context::{RegionContext, nodes_in_region, vertices_in_region, vertices_of_handle};
-use super::riding_edits::{RiddenEdit, cut_segments};
+use super::riding_edits::{RiddenEdit, cut_segments, take_splats};
 use super::seams::Seams;
 use super::settings::{EDITED_AT_REST, ESTIMATED_MEMORY, HeldBeside, SolveMode, SolveSettings};
 use super::shape::{ModelShape, Shading};
@@ -150,6 +150,11 @@ impl Deformer {
         if let Some((plane, keeps_above)) = order.edit.one_sided_plane().filter(|_| follows) {
             let segments = origins.line_segments(self.geometry())?;
             cut_segments(patch, &before, &segments, &plane, keeps_above, &firsts);
+        }
+        let cut = order.edit.one_sided_plane();
+        let takes = cut.is_some() || matches!(order.edit.kind(), EditKind::Delete | EditKind::Clean);
+        if takes && self.model().holds_splats() {
+            take_splats(patch, &before, &self.derived.riding_model().loose(), cut, exec)?;
         }
         let mut applied = apply_patch(&before, patch, &firsts)?;
         let ridden = RiddenEdit {

@@ -14,7 +14,7 @@ use super::quality::{HandleBend, plan_division};
 use super::region_context::{RegionContext, vertices_in_region};
 use super::seams::Seams;
 use super::shape::Shading;
-use crate::asset::Model;
+use crate::asset::{Model, Splats};
 use crate::edit::{
     CreaseOptions, CutOptions, CutPlane, EditWarning, LoopPair, RemeshOptions, RemeshTarget, SmoothOptions,
     SurfaceCurve, SurfacePatch, SurfaceView,
@@ -312,6 +312,10 @@ fn plan_merge(context: &mut EditContext<'_>, merge: &ModelMerge, exec: &Exec<'_>
         other => Error::invalid(source, format!("cannot be taken: {other}")),
     };
     let (files, limits) = (merge.files.clone(), context.limits.of_reading());
+    if Splats::format_of(&files, merge.format).is_some() {
+        let problem = "is of Gaussian splats, which have no surface to join; give the file as a passenger";
+        return Err(Error::invalid(source, problem));
+    }
     let model = Model::read_watched(files, merge.format, &limits, exec.progress).map_err(|e| unfit(e.into()))?;
     let model = Arc::new(model);
     let other = ModelTopology::from_shared_model(Arc::clone(&model));

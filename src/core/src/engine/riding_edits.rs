@@ -147,6 +147,51 @@ pub(super) fn cut_segments(
     patch.idle.dedup();
 }
 
+/// Takes the splats of a model of their own along with what an edit takes: those beyond the plane of a cut, and those of which the
+/// nearest surface is deleted. `cut`: the plane, and which side stays.
+///
+/// # Errors
+/// [`Error::Cancelled`].
+pub(super) fn take_splats(
+    patch: &mut SurfacePatch,
+    before: &SurfaceView<'_>,
+    splats: &[u32],
+    cut: Option<(CutPlane, bool)>,
+    exec: &Exec<'_>,
+) -> Result<(), Error> {
+    let place = |v: &u32| before.positions[*v as usize];
+    let gone: Vec<u32> = match cut {
+        Some((plane, keeps_above)) => {
+            let is_above = |v: &u32| plane.normal.dot(place(v)) >= plane.offset;
+            splats.iter().copied().filter(|v| is_above(v) != keeps_above).collect()
+        }
+        None if patch.removed.is_empty() => return Ok(()),
+        None => {
+            let surface = TriangleBvh::build(before.positions, before.triangles, exec.pool);
+            let mut gone = Vec::new();
+            for (k, v) in splats.iter().enumerate() {
+                if k.is_multiple_of(256) {
+                    exec.check()?;
+                }
+                let nearest = surface.closest_point(place(v));
+                if nearest.is_some_and(|at| patch.removed.binary_search(&at.triangle).is_ok()) {
+                    gone.push(*v);
+                }
+            }
+            gone
+        }
+    };
+    if !gone.is_empty() {
+        let splats = if gone.len() == 1 { "splat" } else { "splats" };
+        let message = format!("{} {splats} went with the surface around them", gone.len());
+        patch.warnings.push(EditWarning::new("splats-cut", message, ""));
+    }
+    patch.idle.extend(gone);
+    patch.idle.sort_unstable();
+    patch.idle.dedup();
+    Ok(())
+}
+
 /// Finds where places of the surface before an edit are after it.
 struct AnchorSearch<'a> {
     edit: RiddenEdit<'a>,

@@ -2,20 +2,12 @@
 
 use super::error::Error;
 use super::settings::CarriedModel;
-use crate::asset::{self, Format, Limits, Model, Splats, WrittenFiles, WrittenWarning};
+use crate::asset::Format;
+use crate::asset::{self, LargeSplatRule, Limits, Model, SplatMotion, SplatPlaces, Splats, WrittenFiles};
 use crate::exec::Exec;
 use crate::mesh::carry::SurfaceCarrier;
 use crate::progress::{Cancelled, Progress};
 use glam::DVec3;
-
-/// Splats that are carried before the next ones: what they need besides themselves is held for so many.
-const SPLATS_AT_ONCE: usize = 1 << 16;
-/// A splat ends so many standard deviations from its centre.
-const SPLAT_END: f64 = 2.0;
-/// Splats whose half length is below this fraction of the surface's diagonal are not asked whether they should be bent.
-const SMALL: f64 = 0.01;
-/// A splat is too large where its ends miss the motion around them by more than this fraction of their distance.
-const BENT: f64 = 0.25;
 
 /// A file that rides along: read once, moved each time that the rest pose changes and in the end, then written.
 #[derive(Debug)]
@@ -32,8 +24,8 @@ enum RidingContent {
     },
     Splats {
         splats: Box<Splats>,
-        /// How many were too large for the last motion.
-        bent: usize,
+        /// Whether those larger than the bend around them are divided.
+        divides: bool,
     },
 }
 
@@ -42,7 +34,12 @@ impl RidingFile {
     ///
     /// # Errors
     /// Those of reading a model, and [`asset::Error::Unwritable`] for an output that does not hold what the file holds.
-    pub fn read(passenger: CarriedModel, limits: &Limits, progress: &dyn Progress) -> Result<Self, asset::Error> {
+    pub fn read(
+        passenger: CarriedModel,
+        large_splats: LargeSplatRule,
+        limits: &Limits,
+        progress: &dyn Progress,
+    ) -> Result<Self, asset::Error> {
         let CarriedModel {
             files, format, output, ..
         } = passenger;
@@ -61,7 +58,7 @@ impl RidingFile {
             return Ok(Self {
                 content: RidingContent::Splats {
                     splats: Box::new(splats),
-                    bent: 0,
+                    divides: large_splats == LargeSplatRule::Divide,
                 },
                 output,
             });
@@ -90,7 +87,13 @@ impl RidingFile {
                 let moved = carrier.carry_points(positions, exec)?;
                 *positions = moved.iter().map(|frame| frame.position).collect();
             }
-            RidingContent::Splats { splats, bent } => *bent = move_splats(splats, carrier, exec)?,
+            RidingContent::Splats { splats, divides } => {
+                let motion = SplatMotion {
+                    places: SplatPlaces::Carried,
+                    divides: *divides,
+                };
+                splats.move_along(carrier, &motion, exec)?;
+            }
         }
         Ok(())
     }
@@ -102,56 +105,7 @@ impl RidingFile {
     pub fn write(&self) -> Result<WrittenFiles, Error> {
         match &self.content {
             RidingContent::Model { model, positions } => Ok(model.write(positions, self.output)?),
-            RidingContent::Splats { splats, bent } => {
-                let mut written = splats.write(self.output)?;
-                if *bent > 0 {
-                    let number = if *bent == 1 {
-                        "1 splat is".into()
-                    } else {
-                        format!("{bent} splats are")
-                    };
-                    written.warnings.push(WrittenWarning {
-                        code: "splats-large",
-                        message: format!(
-                            "{number} larger than the bend around them: they turn and stretch as a whole, and their ends stand off; \
-                             divide them, or train with smaller ones"
-                        ),
-                        place: String::new(),
-                    });
-                }
-                Ok(written)
-            }
+            RidingContent::Splats { splats, .. } => Ok(splats.write(self.output)?),
         }
     }
-}
-
-/// Carries splats along. Answers how many are too large for the motion.
-fn move_splats(splats: &mut Splats, carrier: &SurfaceCarrier, exec: &Exec<'_>) -> Result<usize, Cancelled> {
-    let stretch = carrier.stretch(exec.pool);
-    let small = SMALL * carrier.diagonal();
-    let mut bent = 0;
-    for first in (0..splats.len()).step_by(SPLATS_AT_ONCE) {
-        let own = first..splats.len().min(first + SPLATS_AT_ONCE);
-        let spaces = carrier.carry_spaces(&stretch, &splats.centers()[own.clone()], exec)?;
-        let halves = own.clone().map(|splat| splats.longest_axis(splat) * SPLAT_END);
-        let large: Vec<(usize, DVec3)> = halves.enumerate().filter(|(_, half)| half.length() > small).collect();
-        let ends = large.iter().flat_map(|&(k, half)| {
-            let center = splats.centers()[first + k];
-            [center + half, center - half]
-        });
-        let ends = carrier.carry_points(&ends.collect::<Vec<_>>(), exec)?;
-        bent += large
-            .iter()
-            .zip(ends.as_chunks::<2>().0)
-            .filter(|((k, half), ends)| {
-                let space = &spaces[*k];
-                let now = space.gradient * *half;
-                let misses = [now, -now].into_iter().zip(ends.iter());
-                let miss = misses.map(|(offset, end)| end.position.distance(space.frame.position + offset));
-                miss.fold(0.0, f64::max) > BENT * now.length()
-            })
-            .count();
-        splats.carry(first, &spaces, exec.pool);
-    }
-    Ok(bent)
 }

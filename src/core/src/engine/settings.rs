@@ -33,6 +33,8 @@ pub struct OpenOptions {
     pub loose_vertices_ride: bool,
     /// What else of the model's file follows its shape.
     pub following: Following,
+    /// About how many triangles the surface around a model of Gaussian splats has.
+    pub cage_triangles: u32,
 }
 
 /// Parts of a model that are not tied to others.
@@ -49,6 +51,7 @@ impl OpenOptions {
     pub(super) fn reading_within(&self, limits: &DeformerLimits) -> DeformerLimits {
         let model = asset::Limits {
             points_and_lines: self.loose_vertices_ride,
+            cage_triangles: self.cage_triangles,
             ..limits.model
         };
         DeformerLimits { model, ..*limits }
@@ -72,6 +75,7 @@ impl Default for OpenOptions {
             passengers: Vec::new(),
             loose_vertices_ride: true,
             following: Following::default(),
+            cage_triangles: asset::Limits::CAGE_TRIANGLES,
             kept_apart: KeptApart::default(),
         }
     }

@@ -63,7 +63,9 @@ pub(super) async fn create(
     } else {
         let by_type = Format::from_media_type(&kind);
         if by_type.is_none() && !GENERAL.contains(&kind.as_str()) {
-            let models = Format::READ.map(Format::media_type).join(", ");
+            // Files of splats have no type of their own.
+            let own = Format::READ.into_iter().filter(|format| !format.holds_splats_alone());
+            let models = own.map(Format::media_type).collect::<Vec<_>>().join(", ");
             return Err(Problem::media_type(
                 &kind,
                 &format!("{models}, application/octet-stream and multipart/form-data"),

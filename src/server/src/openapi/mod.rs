@@ -232,7 +232,10 @@ fn success(route: &Route) -> Value {
             content.insert(delimited.into(), bytes());
             content.insert(model.into(), bytes());
         }
-        "/v1/sessions/{id}/model" => content = models(&Format::ALL),
+        "/v1/sessions/{id}/model" => {
+            content = models(&Format::ALL);
+            content.extend(models(&Format::SPLATS));
+        }
         "/v1/sessions/{id}/positions" => {
             content.insert("application/octet-stream".into(), bytes());
         }

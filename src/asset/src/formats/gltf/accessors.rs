@@ -89,10 +89,35 @@ pub(super) enum ShapeAttribute {
     Position,
     Normal,
     Tangent,
+    /// The rotation of a Gaussian splat.
+    SplatTurn,
+    /// Its standard deviations.
+    SplatScale,
+    /// A coefficient of its spherical harmonics, counted from the first one of degree 1.
+    SplatHarmonic(u8),
 }
 
+/// The coefficients of spherical harmonics beyond degree 0, as `KHR_gaussian_splatting` names them.
+const HARMONICS: [&str; 15] = [
+    "KHR_gaussian_splatting:SH_DEGREE_1_COEF_0",
+    "KHR_gaussian_splatting:SH_DEGREE_1_COEF_1",
+    "KHR_gaussian_splatting:SH_DEGREE_1_COEF_2",
+    "KHR_gaussian_splatting:SH_DEGREE_2_COEF_0",
+    "KHR_gaussian_splatting:SH_DEGREE_2_COEF_1",
+    "KHR_gaussian_splatting:SH_DEGREE_2_COEF_2",
+    "KHR_gaussian_splatting:SH_DEGREE_2_COEF_3",
+    "KHR_gaussian_splatting:SH_DEGREE_2_COEF_4",
+    "KHR_gaussian_splatting:SH_DEGREE_3_COEF_0",
+    "KHR_gaussian_splatting:SH_DEGREE_3_COEF_1",
+    "KHR_gaussian_splatting:SH_DEGREE_3_COEF_2",
+    "KHR_gaussian_splatting:SH_DEGREE_3_COEF_3",
+    "KHR_gaussian_splatting:SH_DEGREE_3_COEF_4",
+    "KHR_gaussian_splatting:SH_DEGREE_3_COEF_5",
+    "KHR_gaussian_splatting:SH_DEGREE_3_COEF_6",
+];
+
 impl ShapeAttribute {
-    /// All roles that a deformation changes.
+    /// All roles that a deformation of any primitive changes; those of splats beside them.
     pub(super) const ALL: [Self; 3] = [Self::Position, Self::Normal, Self::Tangent];
 
     /// The attribute's name.
@@ -101,17 +126,36 @@ impl ShapeAttribute {
             Self::Position => "POSITION",
             Self::Normal => "NORMAL",
             Self::Tangent => "TANGENT",
+            Self::SplatTurn => "KHR_gaussian_splatting:ROTATION",
+            Self::SplatScale => "KHR_gaussian_splatting:SCALE",
+            Self::SplatHarmonic(k) => HARMONICS[usize::from(k)],
         }
+    }
+
+    /// All roles of splats.
+    pub(super) fn of_splats() -> impl Iterator<Item = Self> {
+        let harmonics = (0..HARMONICS.len() as u8).map(Self::SplatHarmonic);
+        [Self::SplatTurn, Self::SplatScale].into_iter().chain(harmonics)
+    }
+
+    /// The role of an attribute of that name.
+    pub(super) fn of_name(name: &str) -> Option<Self> {
+        let mut all = Self::ALL.into_iter().chain(Self::of_splats());
+        all.find(|role| role.name() == name)
     }
 
     /// Numbers per vertex.
     pub(super) fn lanes(self) -> usize {
-        if self == Self::Tangent { 4 } else { 3 }
+        if matches!(self, Self::Tangent | Self::SplatTurn) {
+            4
+        } else {
+            3
+        }
     }
 
     /// The accessor type's name.
     pub(super) fn shape(self) -> &'static str {
-        if self == Self::Tangent { "VEC4" } else { "VEC3" }
+        if self.lanes() == 4 { "VEC4" } else { "VEC3" }
     }
 }
 
@@ -156,7 +200,8 @@ impl GltfDocument<'_> {
             ComponentType::U8 | ComponentType::U16 => role == ShapeAttribute::Position,
             ComponentType::U32 => false,
         };
-        if quantised && self.uses("KHR_mesh_quantization") {
+        let is_of_splats = !ShapeAttribute::ALL.contains(&role) && layout.component != ComponentType::U32;
+        if is_of_splats || (quantised && self.uses("KHR_mesh_quantization")) {
             return Ok(layout);
         }
         let problem = format!(
@@ -170,7 +215,8 @@ impl GltfDocument<'_> {
     pub(super) fn read_floats(&self, index: usize, role: ShapeAttribute) -> Result<Vec<f32>, Error> {
         let layout = self.check_role(index, role)?;
         let mut values = self.read_values(index, layout)?;
-        if role != ShapeAttribute::Position && layout.component != ComponentType::F32 {
+        let is_direction = matches!(role, ShapeAttribute::Normal | ShapeAttribute::Tangent);
+        if is_direction && layout.component != ComponentType::F32 {
             for element in values.chunks_exact_mut(layout.lanes) {
                 let unit = Vec3::from_slice(element).as_dvec3().try_normalize();
                 if let Some(unit) = unit {

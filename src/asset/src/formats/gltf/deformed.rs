@@ -10,6 +10,7 @@ use super::targets::{AttributeSlot, ChangedAttribute, DeformedAttributes, Target
 use crate::files::WrittenWarning;
 use crate::{Error, FollowedCounts, Format, Geometry};
 use glam::{DMat3, DVec3, Vec3, Vec4};
+use pliant_exec::Exec;
 use pliant_mesh::local_turns::LocalTurn;
 use pliant_mesh::{BoundingBox, shading};
 
@@ -22,6 +23,8 @@ pub(super) struct NewShape<'a> {
     pub(super) turns: Option<Vec<Option<LocalTurn>>>,
     /// Names the format that is written.
     pub(super) fault: GltfFault,
+    /// Where splats are carried along.
+    pub(super) exec: Option<Exec<'a>>,
 }
 
 /// What every row should become.
@@ -109,12 +112,12 @@ fn moved_vertices(rest: &[DVec3], now: &[DVec3]) -> Vec<bool> {
     rest.iter().zip(now).map(|(p, q)| bits(p) != bits(q)).collect()
 }
 
-struct RowWriter<'a, 'f> {
-    doc: &'a GltfDocument<'f>,
-    row: &'a PlacedPrimitive,
-    world_from_mesh: VertexTransforms,
-    mesh_from_world: VertexTransforms,
-    shape: &'a NewShape<'a>,
+pub(super) struct RowWriter<'a, 'f> {
+    pub(super) doc: &'a GltfDocument<'f>,
+    pub(super) row: &'a PlacedPrimitive,
+    pub(super) world_from_mesh: VertexTransforms,
+    pub(super) mesh_from_world: VertexTransforms,
+    pub(super) shape: &'a NewShape<'a>,
 }
 
 impl RowWriter<'_, '_> {
@@ -136,10 +139,11 @@ impl RowWriter<'_, '_> {
             let tangent = tangents.and_then(|stored| self.tangent_change(&stored, &gradients));
             add(ShapeAttribute::Tangent, tangent);
         }
+        changes.extend(self.splat_changes(moved)?);
         Ok(changes)
     }
 
-    fn read_stored(&self, role: ShapeAttribute) -> Result<Option<Vec<f32>>, Error> {
+    pub(super) fn read_stored(&self, role: ShapeAttribute) -> Result<Option<Vec<f32>>, Error> {
         let primitive = &self.doc.meshes.values[self.row.mesh].primitives[self.row.primitive];
         self.doc.read_attribute(primitive, role)
     }

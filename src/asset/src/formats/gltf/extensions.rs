@@ -58,7 +58,7 @@ pub(super) const FEATURES: &str = "EXT_mesh_features";
 use ExtensionFate::{Doubtful, Dropped, Follows, Rewritten, Safe};
 
 /// All that are known; the last rule is that of every other. The first that fits holds.
-const RULES: [ExtensionRule; 32] = [
+const RULES: [ExtensionRule; 33] = [
     rule(DRACO, Rewritten, Rewritten, "changed primitives come back without it"),
     rule("EXT_meshopt_compression", Rewritten, Rewritten, "as plain floats"),
     rule("KHR_meshopt_compression", Rewritten, Rewritten, "as plain floats"),
@@ -114,11 +114,12 @@ const RULES: [ExtensionRule; 32] = [
     rule("VRMC_node_constraint*", Safe, Safe, "of nodes, whose numbers stay"),
     rule("VRM*", Doubtful, Doubtful, ""),
     rule(
-        "KHR_gaussian_splatting*",
+        "KHR_gaussian_splatting",
+        Follows,
         Doubtful,
-        Doubtful,
-        "centres follow, rotations and scales stay",
+        "centres, rotations, scales and harmonics of degree 1 to 3; in edits of the topology centres alone",
     ),
+    rule("KHR_gaussian_splatting_*", Doubtful, Doubtful, "compressed splats stay"),
     rule("KHR_physics_*", Doubtful, Doubtful, "bodies and colliders stay"),
     rule("*", Doubtful, Doubtful, "every other extension"),
 ];

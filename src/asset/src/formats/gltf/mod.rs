@@ -70,6 +70,7 @@ mod rig;
 mod scene;
 mod schema;
 mod sharing;
+mod splats;
 mod stored;
 mod targets;
 #[cfg(test)]
@@ -137,6 +138,7 @@ impl FormatCodec for GltfCodec {
             positions,
             turns: follows.then(|| local_turns(&rest.positions, positions, &rest.triangles)),
             fault: container::GltfFault(format),
+            exec: followers.exec,
         };
         let mut tally = targets::TargetTally::default();
         let wanted = deformed::wanted_attributes(&doc, notes, &shape, &mut tally)?;

@@ -264,7 +264,7 @@ impl AccessorUses {
                 let of_targets = primitive.targets.iter().enumerate();
                 let of_targets = of_targets.flat_map(|(t, all)| all.iter().map(move |(name, a)| (Some(t), name, a)));
                 for (target, name, accessor) in own.chain(of_targets) {
-                    let role = ShapeAttribute::ALL.into_iter().find(|r| r.name() == name);
+                    let role = ShapeAttribute::of_name(name);
                     let slot = role.map(|role| AttributeSlot { target, role });
                     match (slot, rows) {
                         (Some(slot), Some(rows)) => {

@@ -256,6 +256,8 @@ pub(super) fn displacement_map(
             );
             new * turn.turn * old * (size(world_from_old) * size(new_from_world))
         }
+        // Morph targets hold none of these.
+        ShapeAttribute::SplatTurn | ShapeAttribute::SplatScale | ShapeAttribute::SplatHarmonic(_) => DMat3::IDENTITY,
     }
 }
 

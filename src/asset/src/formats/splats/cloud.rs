@@ -36,14 +36,33 @@ pub struct Splats {
     pub(super) degree: u8,
     /// Their coefficients beyond degree 0: for each splat those of red, of green and of blue.
     pub(super) harmonics: Vec<f32>,
-    /// Whether a motion has changed a splat.
-    pub(super) moved: Vec<bool>,
+    /// What a motion has made of each.
+    pub(super) changes: Vec<SplatChange>,
+    /// The place of each in the file, counted from 0: parts of a divided one have the same.
+    pub(super) rows: Vec<u32>,
+    /// How many the file has.
+    pub(super) rows_of_file: usize,
+    /// How many of the file were divided.
+    pub(super) divided: usize,
+    /// How many were larger than the bend around them in the last motion, and stayed whole.
+    pub(super) bent: usize,
     /// The file, decompressed.
     pub(super) source: Bytes,
     /// The file as it came.
     pub(super) upload: Bytes,
     /// What no other format takes, in words.
     pub(super) beyond: Vec<String>,
+}
+
+/// What has become of a splat since it was read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum SplatChange {
+    /// It stands where the file has it.
+    None,
+    /// It has moved.
+    Moved,
+    /// It has moved and is a part of the one that it was.
+    Divided,
 }
 
 /// The ellipsoid of a splat.
@@ -80,6 +99,18 @@ impl SplatShape {
     pub fn is_sound(&self) -> bool {
         let sound = |scale: &f32| *scale <= MOST_LOG_SCALE;
         self.turn[3].is_finite() && self.log_scale.iter().all(sound)
+    }
+
+    /// Its logarithms of scales; of one that is none that of 0.
+    pub fn sound_scales(&self) -> [f32; 3] {
+        let sound = |scale: f32| {
+            if scale <= MOST_LOG_SCALE {
+                scale
+            } else {
+                f32::NEG_INFINITY
+            }
+        };
+        self.log_scale.map(sound)
     }
 
     /// The ellipsoid after a motion with this gradient: the axes are those of the old one, carried along and turned against each
@@ -156,6 +187,76 @@ fn rotation_of(axes: [DVec3; 3], lengths: [f64; 3], frame: DMat3) -> DQuat {
 }
 
 impl Splats {
+    /// A cloud of no splats, with room for as many as a file has.
+    pub(super) fn with_room(format: Format, rows: usize, degree: u8, upload: Bytes) -> Self {
+        Self {
+            format,
+            centers: Vec::with_capacity(rows),
+            shapes: Vec::with_capacity(rows),
+            looks: Vec::with_capacity(rows),
+            normals: Vec::new(),
+            degree,
+            harmonics: vec![0.0; rows * coefficients_of(degree)],
+            changes: vec![SplatChange::None; rows],
+            rows: (0..rows as u32).collect(),
+            rows_of_file: rows,
+            divided: 0,
+            bent: 0,
+            source: upload.clone(),
+            upload,
+            beyond: Vec::new(),
+        }
+    }
+
+    /// Those of these numbers, in that order; one may be there several times.
+    pub(super) fn kept(&self, numbers: &[u32]) -> Self {
+        fn of<T: Copy>(all: &[T], numbers: &[u32]) -> Vec<T> {
+            numbers.iter().filter_map(|&k| all.get(k as usize).copied()).collect()
+        }
+        let width = self.coefficients();
+        let harmonics = numbers.iter().map(|&k| k as usize * width);
+        Self {
+            centers: of(&self.centers, numbers),
+            shapes: of(&self.shapes, numbers),
+            looks: of(&self.looks, numbers),
+            normals: of(&self.normals, numbers),
+            harmonics: harmonics
+                .flat_map(|first| &self.harmonics[first..first + width])
+                .copied()
+                .collect(),
+            changes: of(&self.changes, numbers),
+            rows: of(&self.rows, numbers),
+            ..self.without_splats()
+        }
+    }
+
+    /// All but the splats.
+    fn without_splats(&self) -> Self {
+        Self {
+            rows_of_file: self.rows_of_file,
+            divided: self.divided,
+            bent: self.bent,
+            source: self.source.clone(),
+            beyond: self.beyond.clone(),
+            ..Self::with_room(self.format, 0, self.degree, self.upload.clone())
+        }
+    }
+
+    /// Whether they are those of the file, each once and in its order.
+    pub(super) fn is_whole(&self) -> bool {
+        self.rows.len() == self.rows_of_file && self.rows.iter().zip(0..).all(|(row, k)| *row == k)
+    }
+
+    /// Bytes held in memory, without those of the file as it came.
+    pub(super) fn bytes_held(&self) -> u64 {
+        let source = if self.source.as_ptr() == self.upload.as_ptr() {
+            0
+        } else {
+            self.source.len() as u64
+        };
+        self.len() as u64 * bytes_of_splat(self.coefficients()) + source
+    }
+
     /// How many there are.
     pub fn len(&self) -> usize {
         self.centers.len()
@@ -202,7 +303,7 @@ impl Splats {
         let (width, degree) = (self.coefficients(), self.degree);
         let mut centers = &mut self.centers[first..];
         let mut shapes = &mut self.shapes[first..];
-        let mut moved = &mut self.moved[first..];
+        let mut changes = &mut self.changes[first..];
         let mut normals = self.normals.get_mut(first..).unwrap_or_default();
         let mut harmonics = &mut self.harmonics[first * width..];
         let mut parts = Vec::new();
@@ -212,7 +313,7 @@ impl Splats {
                 spaces,
                 centers: take_first(&mut centers, count),
                 shapes: take_first(&mut shapes, count),
-                moved: take_first(&mut moved, count),
+                changes: take_first(&mut changes, count),
                 normals: take_first(&mut normals, count),
                 harmonics: take_first(&mut harmonics, count * width),
             });
@@ -242,7 +343,7 @@ struct CloudPart<'a> {
     spaces: &'a [CarriedSpace],
     centers: &'a mut [DVec3],
     shapes: &'a mut [SplatShape],
-    moved: &'a mut [bool],
+    changes: &'a mut [SplatChange],
     /// Empty where there are none.
     normals: &'a mut [Vec3],
     harmonics: &'a mut [f32],
@@ -255,7 +356,7 @@ impl CloudPart<'_> {
             if *space == CarriedSpace::resting(self.centers[i]) {
                 continue;
             }
-            self.moved[i] = true;
+            self.changes[i] = self.changes[i].max(SplatChange::Moved);
             self.centers[i] = space.frame.position;
             if self.shapes[i].is_sound() {
                 self.shapes[i] = self.shapes[i].carried(space.gradient);
@@ -290,6 +391,6 @@ pub(super) fn coefficients_of(degree: u8) -> usize {
 
 /// Bytes that a splat with so many coefficients takes while it is read.
 pub(super) fn bytes_of_splat(coefficients: usize) -> u64 {
-    let fixed = size_of::<DVec3>() + size_of::<SplatShape>() + size_of::<SplatLook>() + size_of::<Vec3>() + 1;
+    let fixed = size_of::<DVec3>() + size_of::<SplatShape>() + size_of::<SplatLook>() + size_of::<Vec3>() + 5;
     (fixed + 4 * coefficients) as u64
 }

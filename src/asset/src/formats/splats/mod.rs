@@ -1,67 +1,50 @@
-//! Gaussian splats, which are carried along with a model and not solved: PLY as 3DGS writes it, `.splat` and `.spz`.
+//! Gaussian splats, which are carried along with a model and not solved: PLY as 3DGS writes it, `.splat` and `.spz`. As a model of
+//! their own they get a surface that is solved.
 //!
 //! A file comes back in its own format with the numbers changed that the motion changed, or as a fresh file of another one.
 
+mod attributes;
+mod cage;
+mod cells;
 mod cloud;
 mod harmonics;
+mod model;
+mod motion;
 mod ply;
 mod records;
 mod spz;
 #[cfg(test)]
 mod tests;
 
+pub(super) use attributes::SplatAttributes;
 pub use cloud::Splats;
+pub(super) use model::SplatModelCodec;
+pub use motion::{SplatMotion, SplatPlaces};
 
-use super::list_of;
 use crate::files::{ReadWatch, check_main_size, counted};
 use crate::format::{FormatDetails, Recognition};
 use crate::{Error, FileSet, Format, Limits, WrittenFiles, WrittenWarning};
 use bytes::Bytes;
+use cloud::SplatChange;
 use pliant_exec::progress::Progress;
 
+/// Records of 32 bytes, one for each Gaussian splat.
+pub(super) const SPLAT_FORMAT: Format = Format::new(&FormatDetails {
+    name: "splat",
+    media_types: &[],
+    recognise: |_| Recognition::Unlikely,
+    aliases: &[],
+});
+
+/// Niantic's packed Gaussian splats.
+pub(super) const SPZ_FORMAT: Format = Format::new(&FormatDetails {
+    name: "spz",
+    media_types: &[],
+    recognise: |bytes| Recognition::mark(spz::begins_like(bytes)),
+    aliases: &[],
+});
+
 impl Format {
-    /// Records of 32 bytes, one for each Gaussian splat.
-    pub const SPLAT: Self = Self::new(&FormatDetails {
-        name: "splat",
-        media_types: &["application/octet-stream"],
-        recognise: |_| Recognition::Unlikely,
-        aliases: &[],
-    });
-    /// Niantic's packed Gaussian splats.
-    pub const SPZ: Self = Self::new(&FormatDetails {
-        name: "spz",
-        media_types: &["application/gzip"],
-        recognise: |bytes| Recognition::mark(spz::begins_like(bytes)),
-        aliases: &[],
-    });
-
-    /// The formats of a passenger that hold Gaussian splats and nothing else.
-    const SPLATS_ALONE: [Self; 2] = [Self::SPLAT, Self::SPZ];
-
-    /// The names of the formats in which a passenger is written: with `and`, "glb, gltf, obj, ply, off, stl, splat and spz".
-    pub fn passenger_output_list(conjunction: &str) -> String {
-        let all = Self::ALL.into_iter().chain(Self::SPLATS_ALONE);
-        list_of(&all.map(Self::name).collect::<Vec<_>>(), conjunction)
-    }
-
-    /// The names of the formats in which a passenger is read: with `and`, "glb, gltf, obj, ply, off, stl, fbx, splat and spz".
-    pub fn passenger_name_list(conjunction: &str) -> String {
-        let all = Self::READ.into_iter().chain(Self::SPLATS_ALONE);
-        list_of(&all.map(Self::name).collect::<Vec<_>>(), conjunction)
-    }
-
-    /// The format of that name in which a passenger is read, in any case.
-    pub fn of_passenger(name: &str) -> Option<Self> {
-        let mut splats = Self::SPLATS_ALONE.into_iter();
-        Self::from_name(name).or_else(|| splats.find(|f| f.name().eq_ignore_ascii_case(name)))
-    }
-
-    /// The format of a passenger by its file name's extension.
-    pub fn of_passenger_file(name: &str) -> Option<Self> {
-        name.rsplit_once('.')
-            .and_then(|(_, extension)| Self::of_passenger(extension))
-    }
-
     /// Whether it holds Gaussian splats: in PLY a cloud of points can be one.
     pub fn holds_splats(self) -> bool {
         self == Self::PLY || self.holds_splats_alone()
@@ -69,26 +52,12 @@ impl Format {
 
     /// Whether it holds Gaussian splats and nothing else.
     pub fn holds_splats_alone(self) -> bool {
-        Self::SPLATS_ALONE.contains(&self)
-    }
-}
-
-/// Refuses a file of Gaussian splats that is to be a model of its own.
-pub(crate) fn refuse_as_model(files: &FileSet, format: Option<Format>) -> Result<(), Error> {
-    match Splats::format_of(files, format) {
-        Some(format) => Err(Error::unsupported(
-            format,
-            "the model",
-            "Gaussian splats, which have no surface to pose",
-            "open the mesh that they belong to, or one around them, and give this file as its passenger: file of \
-             passengers in a job, or Carry",
-        )),
-        None => Ok(()),
+        Self::SPLATS.contains(&self)
     }
 }
 
 /// Reads and writes one format of splats.
-struct SplatCodec {
+struct SplatFile {
     read: fn(Bytes, &ReadWatch<'_>) -> Result<Splats, Error>,
     /// Writes a file of the same format with the numbers changed of what has moved.
     patch: fn(&Splats) -> Result<Vec<u8>, Error>,
@@ -96,7 +65,7 @@ struct SplatCodec {
     build: fn(&Splats) -> Result<Vec<u8>, Error>,
 }
 
-impl SplatCodec {
+impl SplatFile {
     fn of(format: Format) -> Self {
         if format == Format::PLY {
             Self {
@@ -123,20 +92,9 @@ impl SplatCodec {
 impl Splats {
     /// The format of a file of Gaussian splats, `format` where it is known; `None` for other files.
     pub fn format_of(files: &FileSet, format: Option<Format>) -> Option<Format> {
-        let is_known = |known: Format| match format {
-            Some(format) => format == known,
-            None => (known.details().recognise)(&files.main) > Recognition::Unlikely,
-        };
-        let named = || format.is_none() && Format::from_file(&files.name, &files.main).is_none();
-        if is_known(Format::SPZ) {
-            Some(Format::SPZ)
-        } else if is_known(Format::SPLAT) || (named() && files.name.to_ascii_lowercase().ends_with(".splat")) {
-            Some(Format::SPLAT)
-        } else if is_known(Format::PLY) && ply::holds_splats(&files.main) {
-            Some(Format::PLY)
-        } else {
-            None
-        }
+        let known = format.or_else(|| Format::from_file(&files.name, &files.main))?;
+        let holds = known.holds_splats_alone() || (known == Format::PLY && ply::holds_splats(&files.main));
+        holds.then_some(known)
     }
 
     /// Reads a file of that format, which [`Splats::format_of`] has found.
@@ -144,9 +102,14 @@ impl Splats {
     /// # Errors
     /// [`Error`] with the place and what is allowed.
     pub fn read(files: FileSet, format: Format, limits: &Limits, progress: &dyn Progress) -> Result<Self, Error> {
-        check_main_size(&files.main)?;
         let watch = ReadWatch::new(limits, progress, files.total_bytes());
-        let splats = (SplatCodec::of(format).read)(files.main, &watch)?;
+        Self::read_within(files.main, format, &watch)
+    }
+
+    /// As [`Splats::read`], as a part of reading a model.
+    pub(super) fn read_within(main: Bytes, format: Format, watch: &ReadWatch<'_>) -> Result<Self, Error> {
+        check_main_size(&main)?;
+        let splats = (SplatFile::of(format).read)(main, watch)?;
         splats.check_centers()?;
         Ok(splats)
     }
@@ -161,30 +124,88 @@ impl Splats {
             return Err(Error::unwritable(format, problem));
         }
         let is_own = format == self.format;
-        let codec = SplatCodec::of(format);
+        let codec = SplatFile::of(format);
         let main = match is_own {
-            true if !self.moved.contains(&true) => self.upload.to_vec(),
+            true if self.is_whole() && self.changes.iter().all(|c| *c == SplatChange::None) => self.upload.to_vec(),
             true => (codec.patch)(self)?,
             false => (codec.build)(self)?,
         };
+        Ok(WrittenFiles {
+            main,
+            warnings: self.warnings_in(format),
+            ..WrittenFiles::default()
+        })
+    }
+
+    /// What a file of that format does not hold of them, and what of them may not fit.
+    fn warnings_in(&self, format: Format) -> Vec<WrittenWarning> {
         let mut warnings = Vec::new();
+        let mut warn = |code: &'static str, message: String| warnings.push(WrittenWarning::new(code, message, ""));
         if let Some(unsound) = counted(self.unsound(), "splat has", "splats have") {
-            let message = format!(
-                "{unsound} a rotation of length 0, or a scale or rotation that is not a number; they move and keep their shape"
+            warn(
+                "splats-unsound",
+                format!(
+                    "{unsound} a rotation of length 0, or a scale or rotation that is not a number; they move and keep their shape"
+                ),
             );
-            warnings.push(WrittenWarning::new("splats-unsound", message, ""));
         }
-        if !is_own {
+        if let Some(divided) = counted(self.divided, "splat was", "splats were") {
+            warn(
+                "splats-divided",
+                format!(
+                    "{divided} larger than the bend around them and divided: the file has {} splats; largeSplats KEEP leaves them whole",
+                    self.len()
+                ),
+            );
+        }
+        if let Some(bent) = counted(self.bent, "splat is", "splats are") {
+            warn(
+                "splats-large",
+                format!(
+                    "{bent} larger than the bend around them: they turn and stretch as a whole, and their ends stand off; \
+                     divide them, or train with smaller ones"
+                ),
+            );
+        }
+        if let Some(clamped) = counted(self.clamped_in(format), "splat has", "splats have") {
+            warn(
+                "splats-clamped",
+                format!(
+                    "{clamped} colours, scales or harmonics beyond what {format} holds; the nearest that it holds are written"
+                ),
+            );
+        }
+        if format != self.format {
             let mut left = self.beyond.clone();
+            if format != Format::PLY && !self.normals.is_empty() {
+                left.push("normals".into());
+            }
             if format == Format::SPLAT && self.degree > 0 {
                 left.push("spherical harmonics".into());
             }
             warnings.extend(WrittenWarning::left_out(&left, format, ""));
         }
-        Ok(WrittenFiles {
-            main,
-            warnings,
-            ..WrittenFiles::default()
-        })
+        warnings
+    }
+
+    /// How many have numbers that do not fit the bytes of that format.
+    fn clamped_in(&self, format: Format) -> usize {
+        let is_own = format == self.format;
+        let width = self.coefficients();
+        let clamps = |row: usize| {
+            let moved = self.changes[row] > SplatChange::None;
+            let colours = self.looks[row].colour;
+            let shape = &self.shapes[row];
+            let harmonics = &self.harmonics[row * width..(row + 1) * width];
+            if format == Format::SPLAT {
+                return !is_own && records::clamps_colours(colours);
+            }
+            let placed = (moved || !is_own) && spz::clamps_shape(shape, harmonics);
+            placed || (!is_own && spz::clamps_colours(colours))
+        };
+        match format == Format::PLY {
+            true => 0,
+            false => (0..self.len()).filter(|&row| clamps(row)).count(),
+        }
     }
 }

@@ -1,8 +1,8 @@
 //! Gaussian splats in PLY: the numbers that 3DGS gives to each vertex, and whatever else stands beside them.
 
-use super::super::ply::body::{PlyBody, PlyElement, PlyHeader, PlyProperty, push};
-use super::super::text::TextPatch;
-use super::cloud::{SplatLook, SplatShape, Splats, bytes_of_splat, coefficients_of};
+use super::super::ply::body::{PlyBody, PlyElement, PlyEncoding, PlyHeader, PlyProperty, push};
+use super::super::text::{TextPatch, newline_of};
+use super::cloud::{SplatChange, SplatLook, SplatShape, Splats, bytes_of_splat, coefficients_of};
 use crate::files::ReadWatch;
 use crate::{Error, Format};
 use bytes::Bytes;
@@ -129,17 +129,9 @@ pub(super) fn read(main: Bytes, watch: &ReadWatch<'_>) -> Result<Splats, Error> 
     let rows = vertex.rows as usize;
     let has_normals = numbers.contains(&Some(SplatNumber::Normal(0)));
     let mut splats = Splats {
-        format: Format::PLY,
-        centers: Vec::with_capacity(rows),
-        shapes: Vec::with_capacity(rows),
-        looks: Vec::with_capacity(rows),
         normals: Vec::with_capacity(if has_normals { rows } else { 0 }),
-        degree,
-        harmonics: vec![0.0; rows * width],
-        moved: vec![false; rows],
-        upload: main.clone(),
-        source: main.clone(),
         beyond: beyond(&header, &vertex, &numbers),
+        ..Splats::with_room(Format::PLY, rows, degree, main.clone())
     };
     for row in 0..rows {
         watch.check_at(row)?;
@@ -189,15 +181,69 @@ fn beyond(header: &PlyHeader, vertex: &PlyElement, numbers: &[Option<SplatNumber
         .collect()
 }
 
+/// The file with the rows of these splats alone, each as often as it is there.
+fn with_rows(splats: &Splats) -> Result<Vec<u8>, Error> {
+    let bytes = &splats.source;
+    let (header, vertex, _) = layout_of(bytes)?;
+    let is_text = header.encoding == PlyEncoding::Ascii;
+    let mut body = body_at_vertices(bytes, &header)?;
+    let mut starts = vec![body.next_place().0];
+    for _ in 0..vertex.rows {
+        for property in &vertex.properties {
+            body.skip_property(property)?;
+        }
+        starts.push(body.next_place().0);
+    }
+    let (first, end) = (starts[0], starts[vertex.rows as usize]);
+    let mut out = Vec::with_capacity(bytes.len());
+    let mut at = 0;
+    for line in bytes[..header.body.0].split_inclusive(|byte| *byte == b'\n') {
+        let mut words = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+        let names_count = words.next() == Some(b"element") && words.next() == Some(b"vertex");
+        match words.next().filter(|_| names_count) {
+            Some(count) => {
+                let place = line.windows(count.len()).rposition(|word| word == count).unwrap_or(0);
+                out.extend_from_slice(&line[..place]);
+                out.extend_from_slice(splats.len().to_string().as_bytes());
+                out.extend_from_slice(&line[place + count.len()..]);
+            }
+            None => out.extend_from_slice(line),
+        }
+        at += line.len();
+    }
+    out.extend_from_slice(&bytes[at..first]);
+    let newline = newline_of(bytes);
+    for &row in &splats.rows {
+        let own = &bytes[starts[row as usize]..starts[row as usize + 1]];
+        match is_text {
+            true => {
+                out.extend_from_slice(own.trim_ascii());
+                out.extend_from_slice(newline);
+            }
+            false => out.extend_from_slice(own),
+        }
+    }
+    let rest = &bytes[end..];
+    out.extend_from_slice(if is_text { rest.trim_ascii_start() } else { rest });
+    Ok(out)
+}
+
 /// The file with the numbers changed of what has moved.
 pub(super) fn patch(splats: &Splats) -> Result<Vec<u8>, Error> {
-    let bytes = &splats.source;
+    let chosen;
+    let bytes = match splats.is_whole() {
+        true => &splats.source[..],
+        false => {
+            chosen = with_rows(splats)?;
+            &chosen[..]
+        }
+    };
     let (header, vertex, numbers) = layout_of(bytes)?;
     let width = splats.coefficients();
     let mut body = body_at_vertices(bytes, &header)?;
     let mut patch = TextPatch::new(bytes);
     for row in 0..splats.len() {
-        let moved = splats.moved[row];
+        let change = splats.changes[row];
         let shape = &splats.shapes[row];
         for (property, number) in vertex.properties.iter().zip(&numbers) {
             let changed = match *number {
@@ -206,9 +252,12 @@ pub(super) fn patch(splats: &Splats) -> Result<Vec<u8>, Error> {
                 Some(SplatNumber::Harmonic(k)) => Some(f64::from(splats.harmonics[row * width + k])),
                 Some(SplatNumber::Scale(axis)) => shape.is_sound().then(|| f64::from(shape.log_scale[axis])),
                 Some(SplatNumber::Turn(place)) => shape.is_sound().then(|| f64::from(shape.turn[place])),
-                Some(SplatNumber::Colour(_) | SplatNumber::Opacity) | None => None,
+                Some(SplatNumber::Opacity) => {
+                    (change == SplatChange::Divided).then(|| f64::from(splats.looks[row].opacity))
+                }
+                Some(SplatNumber::Colour(_)) | None => None,
             };
-            let Some(value) = changed.filter(|_| moved) else {
+            let Some(value) = changed.filter(|_| change > SplatChange::None) else {
                 body.skip_property(property)?;
                 continue;
             };

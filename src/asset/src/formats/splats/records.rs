@@ -3,7 +3,7 @@
 //! Centre and standard deviations in single precision, red, green, blue and opacity in bytes, and the rotation w, x, y, z in
 //! bytes around 128. There are no spherical harmonics, no header and no mark.
 
-use super::cloud::{SplatLook, SplatShape, Splats, bytes_of_splat};
+use super::cloud::{SplatChange, SplatLook, SplatShape, Splats, bytes_of_splat};
 use super::ply::check_size;
 use crate::files::ReadWatch;
 use crate::{Error, Format};
@@ -29,19 +29,7 @@ pub(super) fn read(main: Bytes, watch: &ReadWatch<'_>) -> Result<Splats, Error> 
     let rows = main.len() / RECORD;
     watch.check_vertices(rows as u64)?;
     watch.reserve(rows as u64 * bytes_of_splat(0))?;
-    let mut splats = Splats {
-        format: Format::SPLAT,
-        centers: Vec::with_capacity(rows),
-        shapes: Vec::with_capacity(rows),
-        looks: Vec::with_capacity(rows),
-        normals: Vec::new(),
-        degree: 0,
-        harmonics: Vec::new(),
-        moved: vec![false; rows],
-        upload: main.clone(),
-        source: main.clone(),
-        beyond: Vec::new(),
-    };
+    let mut splats = Splats::with_room(Format::SPLAT, rows, 0, main.clone());
     for (row, record) in main.chunks_exact(RECORD).enumerate() {
         watch.check_at(row)?;
         let real =
@@ -64,10 +52,18 @@ pub(super) fn read(main: Bytes, watch: &ReadWatch<'_>) -> Result<Splats, Error> 
 
 /// The file with the numbers changed of what has moved.
 pub(super) fn patch(splats: &Splats) -> Result<Vec<u8>, Error> {
-    let mut out = splats.source.to_vec();
+    let own = |row: &u32| {
+        let first = *row as usize * RECORD;
+        splats.source[first..first + RECORD].iter().copied()
+    };
+    let mut out: Vec<u8> = splats.rows.iter().flat_map(own).collect();
     for (row, record) in out.chunks_exact_mut(RECORD).enumerate() {
-        if splats.moved[row] {
+        let change = splats.changes[row];
+        if change > SplatChange::None {
             put_place(splats, row, record)?;
+        }
+        if change == SplatChange::Divided {
+            record[27] = opacity_byte(splats.looks[row].opacity);
         }
     }
     Ok(out)
@@ -83,9 +79,13 @@ pub(super) fn build(splats: &Splats) -> Result<Vec<u8>, Error> {
             *byte = byte_of((colour * C0 + 0.5) * 255.0);
         }
         record[27] = opacity_byte(opacity);
-        if !splats.shapes[row].is_sound() {
-            // A point without a size and without a turn.
+        let shape = &splats.shapes[row];
+        if !shape.is_sound() {
+            // Without a turn; scales that are none stay 0.
             record[28..].copy_from_slice(&[255, 128, 128, 128]);
+            for (scale, log_scale) in record[12..24].chunks_exact_mut(4).zip(shape.sound_scales()) {
+                scale.copy_from_slice(&(libm::exp(f64::from(log_scale)) as f32).to_le_bytes());
+            }
         }
     }
     Ok(out)
@@ -113,6 +113,16 @@ fn put_place(splats: &Splats, row: usize, record: &mut [u8]) -> Result<(), Error
         *byte = byte_of(part * 128.0 + 128.0);
     }
     Ok(())
+}
+
+/// Whether colours are beyond what bytes hold, by more than they round.
+pub(super) fn clamps_colours(colours: [f32; 3]) -> bool {
+    colours.into_iter().any(|colour| clamps((colour * C0 + 0.5) * 255.0))
+}
+
+/// Whether a number is farther from the nearest byte than rounding takes it.
+pub(super) fn clamps(value: f32) -> bool {
+    !(-0.5..=255.5).contains(&value)
 }
 
 /// The nearest byte.

@@ -3,8 +3,8 @@
 //! In a row for all splats: centres in fixed point of 24 bits, opacities, colours, logarithms of scales, rotations (of version 2
 //! x, y and z in a byte each, of version 3 the three smallest in 10 bits each), spherical harmonics.
 
-use super::cloud::{SplatLook, SplatShape, Splats, bytes_of_splat, coefficients_of};
-use super::records::{byte_of, logit, opacity_byte};
+use super::cloud::{SplatChange, SplatLook, SplatShape, Splats, bytes_of_splat, coefficients_of};
+use super::records::{byte_of, clamps, logit, opacity_byte};
 use crate::files::ReadWatch;
 use crate::{Error, Format};
 use bytes::Bytes;
@@ -151,19 +151,7 @@ pub(super) fn read(main: Bytes, watch: &ReadWatch<'_>) -> Result<Splats, Error> 
     let (layout, bytes) = inflate(&main, watch)?;
     let (rows, width) = (layout.count, coefficients_of(layout.degree));
     watch.reserve(rows as u64 * bytes_of_splat(width))?;
-    let mut splats = Splats {
-        format: Format::SPZ,
-        centers: Vec::with_capacity(rows),
-        shapes: Vec::with_capacity(rows),
-        looks: Vec::with_capacity(rows),
-        normals: Vec::new(),
-        degree: layout.degree,
-        harmonics: vec![0.0; rows * width],
-        moved: vec![false; rows],
-        upload: main,
-        source: Bytes::new(),
-        beyond: Vec::new(),
-    };
+    let mut splats = Splats::with_room(Format::SPZ, rows, layout.degree, main);
     let unit = 1.0 / f64::from(1u32 << layout.places);
     for row in 0..rows {
         watch.check_at(row)?;
@@ -241,12 +229,26 @@ fn pack_turn(turn: [f32; 4], out: &mut [u8]) {
 
 /// The file with the numbers changed of what has moved.
 pub(super) fn patch(splats: &Splats) -> Result<Vec<u8>, Error> {
-    let mut bytes = splats.source.to_vec();
+    let source = &splats.source;
     let mut header = [0; HEADER];
-    header.copy_from_slice(&bytes[..HEADER]);
-    let layout = SpzLayout::read(header)?;
-    for row in (0..splats.len()).filter(|&row| splats.moved[row]) {
+    header.copy_from_slice(&source[..HEADER]);
+    let old = SpzLayout::read(header)?;
+    let layout = SpzLayout {
+        count: splats.len(),
+        ..old
+    };
+    let mut bytes = header.to_vec();
+    bytes[8..12].copy_from_slice(&(splats.len() as u32).to_le_bytes());
+    for array in 0..layout.widths().len() {
+        let own = |row: &u32| source[old.place(array, *row as usize)].iter().copied();
+        bytes.extend(splats.rows.iter().flat_map(own));
+    }
+    bytes.extend_from_slice(&source[old.bytes() as usize..]);
+    for row in (0..splats.len()).filter(|&row| splats.changes[row] > SplatChange::None) {
         put_place(splats, row, layout, &mut bytes)?;
+        if splats.changes[row] == SplatChange::Divided {
+            bytes[layout.place(1, row)][0] = opacity_byte(splats.looks[row].opacity);
+        }
     }
     deflate(&bytes)
 }
@@ -272,8 +274,10 @@ pub(super) fn build(splats: &Splats) -> Result<Vec<u8>, Error> {
         for (byte, colour) in bytes[layout.place(2, row)].iter_mut().zip(colour) {
             *byte = byte_of((colour * COLOUR + 0.5) * 255.0);
         }
-        if !splats.shapes[row].is_sound() {
+        let shape = &splats.shapes[row];
+        if !shape.is_sound() {
             pack_turn([0.0, 0.0, 0.0, 1.0], &mut bytes[layout.place(4, row)]);
+            put_scales(shape.sound_scales(), &mut bytes[layout.place(3, row)]);
         }
         put_place(splats, row, layout, &mut bytes)?;
     }
@@ -299,9 +303,7 @@ fn put_place(splats: &Splats, row: usize, layout: SpzLayout, bytes: &mut [u8]) -
     }
     let shape: &SplatShape = &splats.shapes[row];
     if shape.is_sound() {
-        for (byte, log_scale) in bytes[layout.place(3, row)].iter_mut().zip(shape.log_scale) {
-            *byte = byte_of((log_scale + 10.0) * 16.0);
-        }
+        put_scales(shape.log_scale, &mut bytes[layout.place(3, row)]);
         pack_turn(shape.turn, &mut bytes[layout.place(4, row)]);
     }
     let width = splats.coefficients();
@@ -310,6 +312,25 @@ fn put_place(splats: &Splats, row: usize, layout: SpzLayout, bytes: &mut [u8]) -
         *byte = byte_of(value * 128.0 + 128.0);
     }
     Ok(())
+}
+
+fn put_scales(log_scale: [f32; 3], bytes: &mut [u8]) {
+    for (byte, log_scale) in bytes.iter_mut().zip(log_scale) {
+        *byte = byte_of((log_scale + 10.0) * 16.0);
+    }
+}
+
+/// Whether scales or harmonics are beyond what bytes hold, by more than they round. A flat splat is as thin as can be.
+pub(super) fn clamps_shape(shape: &SplatShape, harmonics: &[f32]) -> bool {
+    let scales = shape.log_scale.into_iter().filter(|s| s.is_finite());
+    scales.map(|s| (s + 10.0) * 16.0).any(clamps) || harmonics.iter().any(|v| clamps(v * 128.0 + 128.0))
+}
+
+/// Whether colours are.
+pub(super) fn clamps_colours(colours: [f32; 3]) -> bool {
+    colours
+        .into_iter()
+        .any(|colour| clamps((colour * COLOUR + 0.5) * 255.0))
 }
 
 fn deflate(bytes: &[u8]) -> Result<Vec<u8>, Error> {
