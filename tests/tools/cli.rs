@@ -58,7 +58,7 @@ fn a_refusal_is_exit_2_with_its_reason_last_and_no_output() {
         ("deform creature.glb --job none.json -o out.glb", "none.json"),
         (
             "deform creature.glb --job job.json -o out.xyz",
-            "glb, gltf, obj, ply, off and stl",
+            "glb, gltf, obj, ply, off, stl and 3mf",
         ),
         ("deform creature.glb --job unknown.json -o out.glb", "handles[0].regoin"),
         (

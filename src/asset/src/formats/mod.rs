@@ -47,6 +47,7 @@ mod polygons;
 mod splats;
 mod stl;
 mod text;
+mod threemf;
 
 pub use splats::Splats;
 pub(super) use splats::refuse_as_model;
@@ -95,6 +96,8 @@ registry! {
         OFF = off::FORMAT, off::OffCodec;
         /// Stereolithography, ASCII or binary.
         STL = stl::FORMAT, stl::StlCodec;
+        /// 3D Manufacturing Format, of printers.
+        THREE_MF = threemf::FORMAT, threemf::ThreeMfCodec;
     }
     only read {
         /// Autodesk FBX; what is made of it is a GLB.
@@ -130,12 +133,12 @@ pub(super) fn codec_of(format: Format) -> &'static dyn FormatCodec {
 }
 
 impl Format {
-    /// The names of the formats that are written, as texts list them: with `and`, "glb, gltf, obj, ply, off and stl".
+    /// The names of the formats that are written, as texts list them: with `and`, "glb, gltf, obj, ply, off, stl and 3mf".
     pub fn name_list(conjunction: &str) -> String {
         list_of(&Self::ALL.map(Self::name), conjunction)
     }
 
-    /// The names of the formats that are read: with `and`, "glb, gltf, obj, ply, off, stl and fbx".
+    /// The names of the formats that are read: with `and`, "glb, gltf, obj, ply, off, stl, 3mf and fbx".
     pub fn read_name_list(conjunction: &str) -> String {
         list_of(&Self::READ.map(Self::name), conjunction)
     }

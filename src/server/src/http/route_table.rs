@@ -32,9 +32,9 @@ const PLAIN: Route = Route {
     keyed: false,
 };
 
-const FORMAT: (&str, &str) = ("format", "glb (or vrm), gltf, obj, ply, off or stl");
+const FORMAT: (&str, &str) = ("format", "glb (or vrm), gltf, obj, ply, off, stl or 3mf");
 /// The same of a model that is opened.
-const OPENED_FORMAT: (&str, &str) = ("format", "glb (or vrm), gltf, obj, ply, off, stl or fbx");
+const OPENED_FORMAT: (&str, &str) = ("format", "glb (or vrm), gltf, obj, ply, off, stl, 3mf or fbx");
 
 /// Every route but the pages for people.
 pub(crate) const ROUTES: [Route; 25] = [
