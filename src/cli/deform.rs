@@ -21,7 +21,7 @@ use std::time::Instant;
 /// Arguments of `pliant deform`.
 #[derive(Debug, Args)]
 pub struct DeformArgs {
-    /// Model file: glb (or vrm), gltf, obj, ply, off, stl, fbx, splat or spz
+    /// Model file: glb (or vrm), gltf, obj, ply, off, stl, 3mf, fbx, splat or spz
     model: PathBuf,
     /// Job file: handles, steps and options as JSON
     #[arg(long)]

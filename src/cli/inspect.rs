@@ -19,7 +19,7 @@ const NAMED_CONTENTS: usize = 16;
 /// Arguments of `pliant inspect`.
 #[derive(Debug, Args)]
 pub struct InspectArgs {
-    /// Model file: glb (or vrm), gltf, obj, ply, off, stl, fbx, splat or spz
+    /// Model file: glb (or vrm), gltf, obj, ply, off, stl, 3mf, fbx, splat or spz
     model: PathBuf,
     /// Print the statistics as JSON on stdout
     #[arg(long)]

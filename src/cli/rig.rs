@@ -29,7 +29,7 @@ const VIEW: (u32, u32) = (640, 800);
 /// Arguments of `pliant rig`.
 #[derive(Debug, Args)]
 pub struct RigArgs {
-    /// Model file: glb (or vrm), gltf, obj, ply, off, stl, fbx, splat or spz
+    /// Model file: glb (or vrm), gltf, obj, ply, off, stl, 3mf, fbx, splat or spz
     model: PathBuf,
     /// Clip that will drive the model, a BVH file; its joint names select the bones
     #[arg(long, conflicts_with = "preset")]
@@ -285,7 +285,7 @@ impl RigArgs {
 /// Arguments of `pliant skin`.
 #[derive(Debug, Args)]
 pub struct SkinArgs {
-    /// Model file: glb (or vrm), gltf, obj, ply, off, stl, fbx, splat or spz
+    /// Model file: glb (or vrm), gltf, obj, ply, off, stl, 3mf, fbx, splat or spz
     model: PathBuf,
     /// Rig file of `pliant rig`
     #[arg(long)]

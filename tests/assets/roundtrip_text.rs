@@ -203,7 +203,7 @@ fn a_name_or_a_first_word_gives_the_format() {
     let error = read(FileSet::single("picture.png", &b"\x89PNG\r\n"[..])).expect_err("no model");
     assert_eq!(
         error.to_string(),
-        "picture.png: not a known model format; allowed are glb, gltf, obj, ply, off, stl, fbx, splat and spz"
+        "picture.png: not a known model format; allowed are glb, gltf, obj, ply, off, stl, 3mf, fbx, splat and spz"
     );
     let forced = Model::read(FileSet::single("a.obj", obj), Some(Format::PLY), &Limits::default());
     assert!(

@@ -56,6 +56,7 @@ pub fn inputs_of(name: &str) -> Vec<Vec<u8>> {
         "ply" => models(&[Format::PLY], &["ply"]),
         "off" => models(&[Format::OFF], &["off"]),
         "stl" => models(&[Format::STL], &["stl"]),
+        "threemf" => models(&[Format::THREE_MF], &["3mf"]),
         "glb" => models(&[Format::GLB], &["glb"]),
         "gltf" => models(&[Format::GLTF], &["gltf"]),
         "fbx" => vec![fbx()],

@@ -226,6 +226,7 @@ async fn bytes_that_are_nothing_are_refused_quickly() {
         ("noise", noise),
         ("glb", glb),
         ("stl", stl),
+        ("package", b"PK\x03\x043D/3dmodel.model PK\x05\x06".repeat(64)),
         ("nested", nested),
         ("faces", faces),
     ] {

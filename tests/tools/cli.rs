@@ -58,7 +58,7 @@ fn a_refusal_is_exit_2_with_its_reason_last_and_no_output() {
         ("deform creature.glb --job none.json -o out.glb", "none.json"),
         (
             "deform creature.glb --job job.json -o out.xyz",
-            "glb, gltf, obj, ply, off, stl, splat and spz",
+            "glb, gltf, obj, ply, off, stl, 3mf, splat and spz",
         ),
         ("deform creature.glb --job unknown.json -o out.glb", "handles[0].regoin"),
         (

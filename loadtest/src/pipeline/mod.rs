@@ -26,7 +26,7 @@ const PART: usize = 256 << 10;
 /// The model of a command, and the threads that it is measured on.
 #[derive(Debug, clap::Args)]
 pub(crate) struct MeasuredModel {
-    /// Model file: glb or gltf with embedded buffers, obj, ply, off or stl
+    /// Model file: glb or gltf with embedded buffers, obj, ply, off, stl or 3mf
     #[arg(value_name = "MODEL")]
     path: PathBuf,
     /// Number of subdivisions of every triangle into four beforehand, not timed

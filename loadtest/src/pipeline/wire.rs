@@ -32,7 +32,7 @@ const ENCODINGS: [(&str, FrameEncoding); 4] = [
 /// Arguments of `loadtest wire`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct WireArgs {
-    /// Model file: glb or gltf with embedded buffers, obj, ply, off or stl
+    /// Model file: glb or gltf with embedded buffers, obj, ply, off, stl or 3mf
     model: PathBuf,
     /// Frames to measure; a swing there and back is 120
     #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..=10_000))]

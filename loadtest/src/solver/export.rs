@@ -20,7 +20,7 @@ const STEP: f64 = 0.01;
 /// Arguments of `loadtest export-system`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct ExportArgs {
-    /// Model file: glb or gltf with embedded buffers, obj, ply, off or stl
+    /// Model file: glb or gltf with embedded buffers, obj, ply, off, stl or 3mf
     model: PathBuf,
     /// Job file: session options, handles, and the pose after its last step
     #[arg(long, value_name = "FILE")]

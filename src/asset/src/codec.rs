@@ -162,6 +162,11 @@ pub(super) trait FormatCodec: Sync {
         Ok(None)
     }
 
+    /// Whether [`FormatCodec::seam_parts`] divides runs for every format, as triangles of one run look different by their material.
+    fn divides_by_look(&self) -> bool {
+        false
+    }
+
     /// Adds to `keys` what a model's files give to each vertex or to the faces around it, beside positions, normals and
     /// tangents. Vertices that no reader can distinguish get equal keys.
     fn distinguish_vertices(&self, model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {

@@ -30,6 +30,8 @@ pub(super) struct NeutralModel {
     pub source_triangles: Vec<u32>,
     /// What files beside the model are named after; may be empty.
     pub stem: String,
+    /// Whether its numbers are metres, as those of glTF are; other formats do not say.
+    pub in_metres: bool,
 }
 
 /// What a primitive has beyond its geometry.

@@ -421,6 +421,7 @@ fn neutral_edited_model(edited: &EditedModel<'_>, positions: &[DVec3], format: F
     let mut neutral = NeutralModel {
         stem: file_stem(first.map_or("", |model| &model.files.name)),
         origin: at_rest.unwrap_or_default(),
+        in_metres: first.is_some_and(|model| codec_of(Format::GLB).patches_files_of(model.format)),
         ..NeutralModel::default()
     };
     for base in 0..edited.bases.len() as u32 {
@@ -431,6 +432,11 @@ fn neutral_edited_model(edited: &EditedModel<'_>, positions: &[DVec3], format: F
 
 /// The neutral form of a model that no edit has changed, at new positions: as if an edit had kept every vertex.
 pub(super) fn neutral_model(model: &Model, positions: &[DVec3], format: Format) -> Result<NeutralModel, Error> {
+    with_whole_model(model, |edited| neutral_edited_model(edited, positions, format))
+}
+
+/// Hands out a model as an edit would leave it that keeps every vertex and triangle.
+pub(super) fn with_whole_model<T>(model: &Model, work: impl FnOnce(&EditedModel<'_>) -> T) -> T {
     let geometry = &model.geometry;
     let mut first_triangle = 0;
     let mut runs = Vec::with_capacity(geometry.primitives.len());
@@ -458,7 +464,7 @@ pub(super) fn neutral_model(model: &Model, positions: &[DVec3], format: Format) 
         bare: &[],
         caps: CapLooks::default(),
     };
-    neutral_edited_model(&edited, positions, format)
+    work(&edited)
 }
 
 /// Adds what comes from one base of an edited model.
@@ -480,7 +486,7 @@ fn add_base(
     for &run in &runs {
         let mut parts = None;
         let cap = edited.cap_material(run);
-        if divides && cap.is_none() {
+        if (divides || source.divides_by_look()) && cap.is_none() {
             parts = source.seam_parts(edited, run, positions)?;
         }
         if parts.is_none() {

@@ -41,7 +41,7 @@ const MOST_FRAMES: usize = 1_000_000;
 /// Arguments of `pliant animate`.
 #[derive(Debug, Args)]
 pub struct AnimateArgs {
-    /// Model file: glb (or vrm), gltf, obj, ply, off, stl, fbx, splat or spz
+    /// Model file: glb (or vrm), gltf, obj, ply, off, stl, 3mf, fbx, splat or spz
     model: PathBuf,
     /// Clip file (BVH)
     #[arg(long, conflicts_with = "clip")]

@@ -26,7 +26,7 @@ const MOST_MODELS: usize = 64;
 /// Arguments of `pliant render`.
 #[derive(Debug, Args)]
 pub struct RenderArgs {
-    /// Model files: glb (or vrm), gltf, obj, ply, off, stl, fbx, splat or spz; several, up to 64, are drawn side by side by one camera
+    /// Model files: glb (or vrm), gltf, obj, ply, off, stl, 3mf, fbx, splat or spz; several, up to 64, are drawn side by side by one camera
     #[arg(required = true, value_name = "MODEL")]
     models: Vec<PathBuf>,
     /// Output picture (.png)

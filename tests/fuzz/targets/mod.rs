@@ -21,6 +21,7 @@ pub const TARGETS: [(&str, FuzzTarget); 21] = [
     ("ply", |bytes| files::read_and_write(bytes, Some(Format::PLY))),
     ("off", |bytes| files::read_and_write(bytes, Some(Format::OFF))),
     ("stl", |bytes| files::read_and_write(bytes, Some(Format::STL))),
+    ("threemf", |bytes| files::read_and_write(bytes, Some(Format::THREE_MF))),
     ("glb", |bytes| files::read_and_write(bytes, Some(Format::GLB))),
     ("gltf", |bytes| files::read_and_write(bytes, Some(Format::GLTF))),
     ("fbx", |bytes| files::read_and_write(bytes, Some(Format::FBX))),

@@ -112,7 +112,7 @@ class NodePassenger(TypedDict):
 class CreateFields(TypedDict, total=False):
     """How a session is built from its model, all optional."""
 
-    #: "glb" (or "vrm"), "gltf", "obj", "ply", "off", "stl" or "fbx"; absent = recognised by the first bytes.
+    #: "glb" (or "vrm"), "gltf", "obj", "ply", "off", "stl", "3mf" or "fbx"; absent = recognised by the first bytes.
     format: str
     volume_graph: Union[Literal["auto", "off", "required"], VolumeGraph]
     #: What happens to parts in which no handle lies.

@@ -34,7 +34,7 @@ export class Client {
     this.transport = new Transport(options);
   }
 
-  /** Uploads a model (glb, vrm, gltf, obj, ply, off, stl, fbx, splat or spz) and opens a session with it. */
+  /** Uploads a model (glb, vrm, gltf, obj, ply, off, stl, 3mf, fbx, splat or spz) and opens a session with it. */
   async open(model: Blob, options: OpenOptions = {}): Promise<Session> {
     const { create: given = {}, companions, ...call } = options;
     // A session is known by its file, unless it is given another name.

@@ -47,6 +47,7 @@ mod polygons;
 mod splats;
 mod stl;
 mod text;
+mod threemf;
 
 pub use splats::{SplatMotion, SplatPlaces, Splats};
 
@@ -100,6 +101,8 @@ registry! {
         OFF = off::FORMAT, off::OffCodec;
         /// Stereolithography, ASCII or binary.
         STL = stl::FORMAT, stl::StlCodec;
+        /// 3D Manufacturing Format, of printers.
+        THREE_MF = threemf::FORMAT, threemf::ThreeMfCodec;
     }
     only read {
         /// Autodesk FBX; what is made of it is a GLB.
@@ -173,7 +176,7 @@ pub(super) fn codec_of(format: Format) -> &'static dyn FormatCodec {
 }
 
 impl Format {
-    /// The names of the formats that are written, as texts list them: with `and`, "glb, gltf, obj, ply, off, stl, splat and spz".
+    /// The names of the formats that are written, as texts list them: with `and`, "glb, gltf, obj, ply, off, stl, 3mf, splat and spz".
     pub fn name_list(conjunction: &str) -> String {
         let written: Vec<&str> = Self::written().map(Self::name).collect();
         list_of(&written, conjunction)
@@ -184,7 +187,7 @@ impl Format {
         Self::ALL.into_iter().chain(Self::SPLATS)
     }
 
-    /// The names of the formats that are read: with `and`, "glb, gltf, obj, ply, off, stl, fbx, splat and spz".
+    /// The names of the formats that are read: with `and`, "glb, gltf, obj, ply, off, stl, 3mf, fbx, splat and spz".
     pub fn read_name_list(conjunction: &str) -> String {
         list_of(&Self::READ.map(Self::name), conjunction)
     }

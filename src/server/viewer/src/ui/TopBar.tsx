@@ -58,7 +58,7 @@ export function TopBar(): JSX.Element {
   );
 }
 
-const FORMATS: readonly Format[] = ["glb", "gltf", "obj", "ply", "off", "stl"];
+const FORMATS: readonly Format[] = ["glb", "gltf", "obj", "ply", "off", "stl", "3mf"];
 
 /** Saves as GLB; the arrow beside it offers the other formats. */
 function ExportButton(): JSX.Element {

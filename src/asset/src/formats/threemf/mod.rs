@@ -1,0 +1,140 @@
+//! 3D Manufacturing Format (3MF): what printers are given, a package of XML.
+//!
+//! A shape that changes alone is patched: numbers of vertices that moved are rewritten in their part, every other part of the package is
+//! copied as it is packed. After an edit, and where one mesh is used at several places that moved apart, objects are written anew, one for
+//! each use, and everything else of the model part stays as written.
+//!
+//! [`package`] reads and writes archives, [`part`] the XML of a part, [`scene`] follows what is built, [`looks`] has materials and colours,
+//! [`patch`] and [`write`] write models of this format, [`build`] others.
+
+mod build;
+mod looks;
+mod model_text;
+mod package;
+mod part;
+mod patch;
+mod scene;
+#[cfg(test)]
+mod tests;
+mod words;
+mod write;
+
+use crate::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile};
+use crate::edited::{EditedModel, PrimitiveRun};
+use crate::files::{ReadWatch, counted};
+use crate::format::{FormatDetails, Recognition};
+use crate::neutral::{NeutralModel, RunPart};
+use crate::vertex_attributes::{AttributeKeys, hash_numbers};
+use crate::{Error, FileSet, Format, Model, WrittenFiles};
+use glam::DVec3;
+use looks::UseProperties;
+use scene::PrintNotes;
+use std::sync::Arc;
+
+/// The format, by what it is known.
+pub(super) const FORMAT: Format = Format::new(&FormatDetails {
+    name: "3mf",
+    aliases: &[],
+    media_types: &[
+        "model/3mf",
+        "application/vnd.ms-package.3dmanufacturing-3dmodel+xml",
+        "application/3mf",
+    ],
+    recognise,
+});
+
+/// Bytes at the begin and at the end of an archive in which names of its parts are looked for.
+const SEARCHED: usize = 1 << 16;
+
+fn recognise(bytes: &[u8]) -> Recognition {
+    if !bytes.starts_with(b"PK\x03\x04") {
+        return Recognition::Unlikely;
+    }
+    let begin = &bytes[..bytes.len().min(SEARCHED)];
+    let end = &bytes[bytes.len().saturating_sub(SEARCHED)..];
+    let names_model = |part: &[u8]| part.windows(6).any(|word| word.eq_ignore_ascii_case(b".model"));
+    Recognition::mark(names_model(begin) || names_model(end))
+}
+
+/// Reads and writes 3MF.
+pub(super) struct ThreeMfCodec;
+
+impl FormatCodec for ThreeMfCodec {
+    fn patches_files_of(&self, format: Format) -> bool {
+        format == FORMAT
+    }
+
+    fn read(&self, files: &FileSet, _: Format, watch: &ReadWatch<'_>) -> Result<ReadFile, Error> {
+        scene::read(files, watch).map(|(geometry, notes)| (geometry, Arc::new(notes) as _))
+    }
+
+    fn patch_positions(&self, output: &PatchedOutput<'_>) -> Result<WrittenFiles, Error> {
+        patch::patch(output.model, output.positions)
+    }
+
+    fn build(&self, neutral: &NeutralModel, _: Format) -> Result<WrittenFiles, Error> {
+        build::build(neutral)
+    }
+
+    fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
+        write::write_edited(output)
+    }
+
+    fn beyond_conversion(&self, model: &Model, _: bool) -> Result<Vec<String>, Error> {
+        let notes: &PrintNotes = model.notes_or_refuse(FORMAT)?;
+        let parts = &notes.scene.parts;
+        let meshes = parts.iter().flat_map(|part| part.objects.values());
+        let painted = meshes
+            .filter_map(|object| object.mesh.as_ref())
+            .map(|mesh| mesh.painted)
+            .sum();
+        let metadata = parts.iter().map(|part| part.metadata.len()).sum();
+        let counts = [
+            counted(metadata, "entry of metadata", "entries of metadata"),
+            counted(
+                painted,
+                "triangle with paint of a slicer",
+                "triangles with paint of a slicer",
+            ),
+        ];
+        let foreign = parts
+            .iter()
+            .flat_map(|part| &part.foreign)
+            .map(|name| format!("`{name}`"));
+        Ok(counts.into_iter().flatten().chain(foreign).collect())
+    }
+
+    fn divides_by_look(&self) -> bool {
+        true
+    }
+
+    fn seam_parts(
+        &self,
+        edited: &EditedModel<'_>,
+        run: &PrimitiveRun,
+        _: &[DVec3],
+    ) -> Result<Option<Vec<RunPart>>, Error> {
+        Ok(looks::seam_parts(edited, run))
+    }
+
+    fn distinguish_vertices(&self, model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
+        let notes: &PrintNotes = model.notes_or_refuse(FORMAT)?;
+        let mut triangle = 0;
+        for primitive in 0..model.geometry.primitives.len() as u32 {
+            let Some(properties) = UseProperties::new(notes, model, primitive) else {
+                continue;
+            };
+            let count = model.geometry.primitives[primitive as usize].index_count / 3;
+            for t in triangle..triangle + count {
+                let Some((_, group, places)) = properties.of_triangle(t) else {
+                    continue;
+                };
+                for (vertex, place) in model.geometry.triangles[t as usize].into_iter().zip(places) {
+                    keys.add_of_corner(vertex, hash_numbers(&[f64::from(group), f64::from(place)]));
+                }
+            }
+            triangle += count;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,244 @@
+use super::package::{Package, pack};
+use crate::files::ReadWatch;
+use crate::{FileSet, Format, Limits, Model};
+use glam::DVec3;
+use pliant_exec::progress::Silent;
+
+const HEAD: &str = r#"<?xml version="1.0" encoding="UTF-8"?>
+<model unit="inch" xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02" xmlns:m="http://schemas.microsoft.com/3dmanufacturing/material/2015/02" xmlns:p="http://schemas.microsoft.com/3dmanufacturing/production/2015/06" xmlns:s="http://slicer">
+<metadata name="Title">Two &amp; more</metadata>"#;
+const CORNERS: &str = r#"<vertices>
+<vertex x="0" y="0" z="0" s:tag="a"/><vertex x="2" y='0' z="0"/><vertex x="0" y="2.50" z="0"/><vertex  z="2" x="0" y="0" />
+</vertices>"#;
+
+fn tetrahedron(marks: [&str; 4]) -> String {
+    let [a, b, c, d] = marks;
+    format!(
+        r#"<mesh>{CORNERS}<triangles><triangle v1="0" v2="2" v3="1"{a}/><triangle v1="0" v2="1" v3="3"{b}/><triangle v1="1" v2="2" v3="3"{c}/><triangle v1="2" v2="0" v3="3"{d}/></triangles></mesh>"#
+    )
+}
+
+fn package(resources: &str, build: &str, more: &[(&str, &str)]) -> Vec<u8> {
+    let model = format!("{HEAD}<resources>{resources}</resources><build>{build}</build></model>");
+    let relations = r#"<Relationships xmlns="r"><Relationship Target="/3D/a.model" Id="r" Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/></Relationships>"#;
+    let mut parts = vec![
+        ("_rels/.rels".to_owned(), relations.into()),
+        ("3D/a.model".to_owned(), model.into_bytes()),
+    ];
+    parts.extend(
+        more.iter()
+            .map(|(name, text)| ((*name).to_owned(), text.as_bytes().to_vec())),
+    );
+    pack(&parts).expect("a package")
+}
+
+fn read(bytes: Vec<u8>) -> Result<Model, crate::Error> {
+    Model::read(FileSet::single("a.3mf", bytes), None, &Limits::default())
+}
+
+fn part_of(bytes: &[u8], name: &str) -> String {
+    let limits = Limits::default();
+    let watch = ReadWatch::new(&limits, &Silent, 0);
+    let mut package = Package::open(bytes).expect("a package");
+    let part = package.part(name, &watch).expect("readable").expect("there");
+    String::from_utf8(part).expect("a text")
+}
+
+fn two_objects() -> Vec<u8> {
+    let resources = format!(
+        r##"<basematerials id="1"><base name="red" displaycolor="#FF0000"/><base name="blue" displaycolor="#0000FF80"/></basematerials>
+<object id="2" name="first" type="model" pid="1" pindex="0">{}</object>
+<object id="3" name="pair"><components><component objectid="2" transform="-1 0 0 0 1 0 0 0 1 10 0 0"/></components></object>"##,
+        tetrahedron(["", r#" pid="1" p1="1""#, "", r#" s:paint="4""#])
+    );
+    let thumbnail = ("Metadata/thumbnail.png", "a picture");
+    package(
+        &resources,
+        r#"<item objectid="3" printable="0" transform="1 0 0 0 2 0 0 0 1 0 0 5"/>"#,
+        &[thumbnail],
+    )
+}
+
+#[test]
+fn a_pose_rewrites_the_numbers_of_moved_vertices_alone() {
+    let bytes = two_objects();
+    let model = read(bytes.clone()).expect("readable");
+    assert_eq!(model.format, Format::THREE_MF);
+    // A mirrored component, then stretched along y and lifted by its item.
+    let places = [[10.0, 0.0, 5.0], [8.0, 0.0, 5.0], [10.0, 5.0, 5.0], [10.0, 0.0, 7.0]];
+    assert_eq!(model.positions, places.map(DVec3::from_array));
+    assert_eq!(
+        (model.triangles[0], model.primitives[0].name.as_str()),
+        ([0, 1, 2], "first")
+    );
+    assert!(
+        model.warnings.iter().any(|w| w.0 == "unit" && w.1.contains("inch")),
+        "{:?}",
+        model.warnings
+    );
+
+    let mut moved = model.positions.clone();
+    moved[2].y = 7.0;
+    let written = model.write(&moved, Format::THREE_MF).expect("writable");
+    let (before, after) = (part_of(&bytes, "3D/a.model"), part_of(&written.main, "3D/a.model"));
+    assert_eq!(after, before.replace(r#"y="2.50""#, r#"y="3.5""#));
+    assert_eq!(part_of(&written.main, "Metadata/thumbnail.png"), "a picture");
+    assert!(
+        written.warnings[0].message.contains("Metadata/thumbnail.png"),
+        "{:?}",
+        written.warnings
+    );
+    assert_eq!(read(written.main).expect("readable").positions, moved);
+}
+
+#[test]
+fn uses_of_one_mesh_that_move_apart_get_meshes_of_their_own() {
+    let resources = format!(
+        r#"<object id="7" name="twin" p:UUID="u">{}</object>"#,
+        tetrahedron(["", "", "", ""])
+    );
+    let build = r#"<item objectid="7" p:UUID="i"/><item objectid="7" transform="1 0 0 0 1 0 0 0 1 9 0 0"/>"#;
+    let model = read(package(&resources, build, &[])).expect("readable");
+    assert_eq!(model.primitives.len(), 2);
+    let mut moved = model.positions.clone();
+    moved[4].z = -1.0;
+    let written = model.write(&moved, Format::THREE_MF).expect("writable");
+    let text = part_of(&written.main, "/3d/A.MODEL");
+    assert!(
+        text.contains("Two &amp; more") && text.matches("<mesh>").count() == 2,
+        "{text}"
+    );
+    assert!(text.contains(r#"<object id="7" name="twin" p:UUID="u">"#), "{text}");
+    assert!(text.contains(r#"<item objectid="7" p:UUID="i"/>"#), "{text}");
+    assert!(
+        written.warnings.iter().any(|w| w.message.contains("1 mesh shared")),
+        "{:?}",
+        written.warnings
+    );
+    let again = read(written.main).expect("readable");
+    assert_eq!(
+        (again.positions.clone(), again.triangles.clone()),
+        (moved, model.triangles.clone())
+    );
+}
+
+#[test]
+fn objects_in_other_parts_are_read_and_written_where_they_are() {
+    let inner = format!(
+        r#"{HEAD}<resources><object id="1" name="inner">{}</object></resources><build/></model>"#,
+        tetrahedron(["", "", "", ""])
+    );
+    let resources =
+        r#"<object id="2"><components><component p:path="/3D/Objects/b.model" objectid="1"/></components></object>"#;
+    let model = read(package(
+        resources,
+        r#"<item objectid="2"/>"#,
+        &[("3D/Objects/b.model", &inner)],
+    ))
+    .expect("readable");
+    assert_eq!(model.primitives[0].name, "inner");
+    let mut moved = model.positions.clone();
+    moved[1].x = 3.0;
+    let written = model.write(&moved, Format::THREE_MF).expect("writable");
+    assert_eq!(
+        part_of(&written.main, "3D/Objects/b.model"),
+        inner.replace(r#"x="2""#, r#"x="3""#)
+    );
+}
+
+#[test]
+fn materials_and_colours_go_into_other_formats_and_back() {
+    let coloured = r##"<m:colorgroup id="4"><m:color color="#FF0000"/><m:color color="#00FF00"/><m:color color="#0000FF"/></m:colorgroup>"##;
+    let resources = format!(
+        r#"{coloured}<object id="5" name="bright" pid="4" pindex="0">{}</object>"#,
+        tetrahedron([r#" p1="0" p2="1" p3="2""#, "", "", ""])
+    );
+    for (bytes, looks) in [
+        (two_objects(), 2),
+        (package(&resources, r#"<item objectid="5"/>"#, &[]), 1),
+    ] {
+        let model = read(bytes).expect("readable");
+        let glb = model.write(&model.positions, Format::GLB).expect("writable");
+        let glb = Model::read(FileSet::single("a.glb", glb.main), None, &Limits::default()).expect("readable");
+        assert_eq!(glb.primitives.len(), looks);
+        let back = glb.write(&glb.positions, Format::THREE_MF).expect("writable");
+        let text = part_of(&back.main, "3D/3dmodel.model");
+        match looks {
+            2 => {
+                assert!(
+                    text.contains(r##"<base name="red" displaycolor="#FF0000"/>"##),
+                    "{text}"
+                );
+                assert!(
+                    text.contains(r##"<base name="blue" displaycolor="#0000FF80"/>"##),
+                    "{text}"
+                );
+            }
+            _ => {
+                assert!(text.contains(r##"<m:color color="#00FF00"/>"##), "{text}");
+                // Four places, though the GLB has copies at borders of colours.
+                assert_eq!(text.matches("<vertex ").count(), 4, "{text}");
+                assert!(text.contains(r#"unit="meter""#), "{text}");
+            }
+        }
+        assert_eq!(read(back.main).expect("readable").triangles.len(), 4);
+    }
+}
+
+#[test]
+fn hostile_packages_are_refused_with_a_place() {
+    let mesh = tetrahedron(["", "", "", ""]);
+    let item = r#"<item objectid="1"/>"#;
+    let object = |inner: &str| format!(r#"<object id="1">{inner}</object>"#);
+    let refused = |bytes: Vec<u8>, phrase: &str| {
+        let error = read(bytes).expect_err(phrase).to_string();
+        assert!(error.contains(phrase), "{error} has not {phrase}");
+    };
+    refused(
+        package(&object(&mesh.replace(r#"v3="1""#, r#"v3="4""#)), item, &[]),
+        "the object has 4",
+    );
+    refused(
+        package(&object(&mesh.replace(r#"x="2""#, r#"x="2,5""#)), item, &[]),
+        "decimal comma",
+    );
+    refused(
+        package(&object(&mesh.replace(r#"x="2""#, r#"x="nan""#)), item, &[]),
+        "not finite",
+    );
+    refused(
+        package("", item, &[]),
+        "object 1: the object is named and does not exist",
+    );
+    let looped = object(r#"<components><component objectid="1"/></components>"#);
+    refused(package(&looped, item, &[]), "deep in each other");
+    let outside = object(r#"<components><component p:path="/../../etc/passwd" objectid="1"/></components>"#);
+    refused(package(&outside, item, &[]), "not in the archive");
+    let doctype = "<!DOCTYPE model [<!ENTITY a \"aaaa\">]><model/>";
+    let parts = [("3D/a.model".to_owned(), doctype.as_bytes().to_vec())];
+    refused(pack(&parts).expect("a package"), "a document type is not allowed");
+    refused(
+        pack(&[("a.txt".to_owned(), b"b.model".to_vec())]).expect("a package"),
+        "without the part of a 3D model",
+    );
+
+    // Each object uses the next one twice.
+    let doubling: String = (1..40).map(|i| format!(r#"<object id="{i}"><components><component objectid="{0}"/><component objectid="{0}"/></components></object>"#, i + 1)).collect();
+    refused(
+        package(&format!(r#"{doubling}<object id="40">{mesh}</object>"#), item, &[]),
+        "used more than 65536 times",
+    );
+
+    // Blanks that unpack to more than may be held.
+    let bomb = package(&object(&format!("{mesh}{}", " ".repeat(8 << 20))), item, &[]);
+    assert!(bomb.len() < 64 << 10);
+    let limits = Limits {
+        decoded_bytes: 4 << 20,
+        ..Limits::default()
+    };
+    let error = Model::read(FileSet::single("a.3mf", bomb), None, &limits).expect_err("a bomb");
+    assert!(
+        matches!(error, crate::Error::TooLarge { limit: 4_194_304, .. }),
+        "{error}"
+    );
+}
