@@ -96,7 +96,7 @@ pub(super) fn resolve_handles(
         }
         let at = format!("handles[{k}]");
         let mut hold = hold_nodes(body, handle, held, &at, context.exec)?;
-        let targets = (handle.targets).map(|per| TargetVertices::of(context.mesh, &vertices, per, &mut hold.pulls));
+        let targets = (handle.targets).map(|per| TargetVertices::of(context, &vertices, per, &mut hold.pulls));
         if targets.is_some() {
             // As in a falloff: they take no node from a hard handle.
             hold.nodes = Vec::new();

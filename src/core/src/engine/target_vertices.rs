@@ -2,6 +2,7 @@
 
 use super::error::Error;
 use super::handle::{Handle, HandleSet};
+use super::region_context::RegionContext;
 use super::vertex_targets::{StiffnessPer, VertexTargets};
 use crate::deform::{DeformableBody, HandleConstraint};
 use crate::mesh::{Mesh, NONE};
@@ -19,11 +20,14 @@ pub(super) struct TargetVertices {
     pull_of: Vec<u32>,
     /// By pull, the weight without those of the pose: of the region, and of its area.
     weights: Vec<f64>,
+    /// What targets are relative to.
+    pub origin: DVec3,
 }
 
 impl TargetVertices {
     /// The vertices that `held` marks of a handle with `pulls`, whose weights take areas in where the handle asks for that.
-    pub fn of(mesh: &Mesh, held: &[bool], per: StiffnessPer, pulls: &mut [(u32, f64)]) -> Self {
+    pub fn of(context: &RegionContext<'_>, held: &[bool], per: StiffnessPer, pulls: &mut [(u32, f64)]) -> Self {
+        let mesh = context.mesh;
         if per == StiffnessPer::Area {
             let areas = shares_of_area(mesh);
             pulls
@@ -39,6 +43,7 @@ impl TargetVertices {
         Self {
             pull_of: vertices.iter().map(pull_of).collect(),
             weights: pulls.iter().map(|p| p.1).collect(),
+            origin: context.origin,
             vertices,
         }
     }
@@ -65,7 +70,7 @@ impl TargetVertices {
                 continue;
             };
             let weight = targets.weights.get(k).map_or(1.0, |w| f64::from(*w));
-            let rest = rest[vertex as usize];
+            let rest = rest[vertex as usize] - self.origin;
             let place = targets.positions.get(k).map(|p| Vec3::from_array(*p));
             let way = match place {
                 Some(place) if place != rest.as_vec3() => place.as_dvec3() - rest,
