@@ -5,7 +5,8 @@ mod riders;
 
 use super::asset::{FileSet, Format, WrittenFiles};
 use super::engine::{
-    Deformer, DeformerLimits, EditCommand, EditedShape, HandlePose, HandlePoses, ModelShape, SolveMode, digest,
+    Deformer, DeformerLimits, EditCommand, EditKind, EditedShape, HandlePose, HandlePoses, ModelShape, SolveMode,
+    digest,
 };
 use super::exec::Exec;
 use super::progress::Progress as _;
@@ -15,6 +16,7 @@ use super::wire::{
     written_warnings,
 };
 use crate::exec::stage_clock::StageClock;
+use crate::wire::pb::edit_request::Operation;
 use crate::wire::pb::step::Step;
 use glam::DVec3;
 pub use inspect::{ClipContents, MOST_NODES_LISTED, ModelContents, SkinContents, contents_of, inspect};
@@ -225,6 +227,10 @@ impl<'a> BatchRun<'a> {
 
     /// Solves a pose.
     fn pose(&mut self, pose: &pb::Pose, exec: &Exec<'_>) -> Result<pb::report::Step, Error> {
+        if pose.more {
+            let problem = "is for poses on a stream; a step of a job has the whole pose";
+            return Err(Error::invalid("pose.more", problem));
+        }
         self.poses = change_poses(&self.deformer, &self.poses, pose)?;
         let facts = self.deformer.facts().handles;
         let posed = facts.into_iter().zip(self.poses.0.iter());
@@ -262,9 +268,21 @@ impl<'a> BatchRun<'a> {
             poses: &self.poses,
             settings: self.is_solved.then_some(&self.options.solve),
         };
-        if on == EditedShape::Current {
+        if let Some(Operation::Adopt(adopt)) = &request.operation
+            && (adopt.more || adopt.first > 0)
+        {
+            let field = if adopt.more {
+                "edit.adopt.more"
+            } else {
+                "edit.adopt.first"
+            };
+            let problem = "is for sessions, which take a shape in parts; a job has it whole";
+            return Err(Error::invalid(field, problem));
+        }
+        if on == EditedShape::Current || edit.kind() == EditKind::Adopt {
             // What the edit sees becomes the rest pose, of what rides along too.
-            (self.riders).move_along(&self.deformer, &self.shape.positions, exec)?;
+            let seen = self.deformer.edited_shape(&command, exec)?;
+            (self.riders).move_along(&self.deformer, &seen.positions, exec)?;
         }
         let outcome = self.deformer.edit(&command, exec)?;
         self.is_solved &= outcome.solved.is_some();

@@ -597,3 +597,38 @@ fn a_passenger_may_be_of_points_alone() {
     let refused = deformer.carry_model(&solved.positions, cloud(Some(Format::GLB)), &exec);
     assert!(refused.is_err_and(|e| e.to_string().contains("obj alone")));
 }
+
+#[test]
+fn passengers_follow_a_given_shape_that_does_not_name_them() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let (bar, sleeve) = bar_and_sleeve();
+    let files = model_of(&[("bar", &bar), ("sleeve", &sleeve)]);
+    let options = riding(PassengerKind::Primitive(1));
+    let mut deformer = Deformer::open(files, &options, &DeformerLimits::default(), &exec).expect("opens");
+    let in_frame =
+        |positions: &[DVec3]| -> Vec<[f32; 3]> { positions.iter().map(|p| p.as_vec3().to_array()).collect() };
+    let (all, own) = (in_frame(deformer.rest()), bar.0.len());
+    let mut adopt = |positions: Vec<[f32; 3]>| {
+        let (shape, poses) = (deformer.rest_shape(), deformer.initial_poses());
+        let command = EditCommand {
+            edit: &Edit::Adopt { positions },
+            on: EditedShape::Current,
+            shape: &shape,
+            poses: &poses,
+            settings: None,
+        };
+        deformer.edit(&command, &exec).expect("adopted").shape.positions
+    };
+    // The bar a quarter further up, and the sleeve with it.
+    let lift = |p: &[f32; 3]| [p[0], p[1] + 0.25, p[2]];
+    let given: Vec<[f32; 3]> = all[..own].iter().map(lift).collect();
+    let now = in_frame(&adopt(given.clone()));
+    assert!(now[..own] == given);
+    for (now, was) in now[own..].iter().zip(&all[own..]) {
+        let off = (0..3).map(|c| (now[c] - lift(was)[c]).abs()).fold(0.0, f32::max);
+        assert!(off < 1e-5, "{now:?} of {was:?}");
+    }
+    // Named, they are where they are put.
+    assert!(in_frame(&adopt(all.clone())) == all);
+}

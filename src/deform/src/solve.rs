@@ -151,6 +151,10 @@ impl PoseSolve<'_> {
             Some(Err(Error::Solver(_))) => {
                 // Poses beyond the range of single precision.
                 state.forget();
+                if warm {
+                    state.begin(body, request.transforms.len());
+                    state.transforms.clone_from_slice(request.transforms);
+                }
                 prepare(body, handles, posed, warm, state, pool);
                 self.fit_in_turn(fit.as_ref(), posed, state, &mut tally)?
             }

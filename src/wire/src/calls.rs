@@ -52,6 +52,63 @@ pub struct SessionEdit {
     pub on: EditedShape,
     /// The other session that a merge takes its model from.
     pub merged_session: Option<String>,
+    /// More parts follow of the shape that is adopted.
+    pub is_part: bool,
+}
+
+impl SessionEdit {
+    /// Puts the parts of a shape together: this edit adopts what `part` adds to it too.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] where the part does not begin where this one ends.
+    pub fn join(mut self, part: SessionEdit) -> Result<SessionEdit, Error> {
+        part.check_first(self.adopted_vertices())?;
+        if let (Edit::Adopt { positions }, Edit::Adopt { positions: more }) = (&mut self.edit, part.edit) {
+            positions.extend(more);
+        }
+        if let (Some(Operation::Adopt(adopt)), Some(Operation::Adopt(more))) =
+            (&mut self.request.operation, part.request.operation)
+        {
+            adopt.positions = [&adopt.positions[..], &more.positions].concat().into();
+            adopt.more = more.more;
+        }
+        self.request.on = part.request.on;
+        Ok(SessionEdit {
+            on: part.on,
+            is_part: part.is_part,
+            ..self
+        })
+    }
+
+    /// Refuses a part of a shape unless `before` vertices are in those before it.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`].
+    pub fn check_first(&self, before: usize) -> Result<(), Error> {
+        match &self.request.operation {
+            Some(Operation::Adopt(adopt)) if adopt.first as usize != before => {
+                let problem = format!(
+                    "is {}, but the parts before have {before} vertices; another change of the session drops them",
+                    adopt.first
+                );
+                Err(Error::invalid("adopt.first", problem))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Whether it adopts a part of a shape that others come before.
+    pub fn is_later_part(&self) -> bool {
+        matches!(&self.request.operation, Some(Operation::Adopt(adopt)) if adopt.first > 0)
+    }
+
+    /// How many vertices it adopts.
+    pub fn adopted_vertices(&self) -> usize {
+        match &self.edit {
+            Edit::Adopt { positions } => positions.len(),
+            _ => 0,
+        }
+    }
 }
 
 /// Reads an edit of a session's model.
@@ -75,11 +132,13 @@ pub fn session_edit(request: &pb::EditRequest) -> Result<SessionEdit, Error> {
     if let Some(Operation::Merge(merge)) = &mut request.operation {
         merge.source = Some(Source::Session(String::new()));
     }
+    let is_part = matches!(&request.operation, Some(Operation::Adopt(adopt)) if adopt.more);
     Ok(SessionEdit {
         request,
         edit,
         on,
         merged_session,
+        is_part,
     })
 }
 

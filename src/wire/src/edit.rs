@@ -3,6 +3,7 @@
 use super::check::{enumerated, number, plane, points, positive};
 use super::facts::warning_message;
 use super::handles::region;
+use super::vertex_targets::float_points;
 use super::{Error, pb};
 use glam::{DMat3, DMat4, DVec3, DVec4};
 use pb::edit_request::{self as message, Operation};
@@ -24,7 +25,8 @@ pub fn edit(request: &pb::EditRequest, other: Option<&FileSet>) -> Result<(Edit,
     };
     let edit = match &request.operation {
         None => {
-            let allowed = "cut, subdivide, decimate, delete, fill, remesh, smooth, merge, insertCurve, weld or clean";
+            let allowed =
+                "cut, subdivide, decimate, delete, fill, remesh, smooth, merge, insertCurve, weld, clean or adopt";
             let problem = format!("is missing, allowed is one of {allowed}");
             return Err(Error::invalid("operation", problem));
         }
@@ -56,6 +58,7 @@ pub fn edit(request: &pb::EditRequest, other: Option<&FileSet>) -> Result<(Edit,
             tolerance: positive(weld.tolerance, "weld.tolerance")?,
         },
         Some(Operation::Clean(clean)) => Edit::Clean(self::clean(clean)?),
+        Some(Operation::Adopt(adopt)) => self::adopt(adopt)?,
     };
     Ok((edit, on))
 }
@@ -74,6 +77,7 @@ pub fn edit_name(edit: &pb::EditRequest) -> &'static str {
         Some(Operation::InsertCurve(_)) => EditKind::InsertCurve.name(),
         Some(Operation::Weld(_)) => EditKind::Weld.name(),
         Some(Operation::Clean(_)) => EditKind::Clean.name(),
+        Some(Operation::Adopt(_)) => EditKind::Adopt.name(),
         None => "none",
     }
 }
@@ -104,6 +108,16 @@ pub fn edit_result(report: &EditReport) -> pb::EditResult {
         repaired: report.repaired,
         ..Default::default()
     }
+}
+
+/// Reads a shape that is given, or a part of one; whether there are as many vertices as the model has depends on that.
+fn adopt(adopt: &message::Adopt) -> Result<Edit, Error> {
+    if adopt.positions.is_empty() && (adopt.first > 0 || adopt.more) {
+        let problem = "is empty; positions are needed beside first and more";
+        return Err(Error::invalid("adopt.positions", problem));
+    }
+    let positions = float_points(&adopt.positions, "adopt.positions")?;
+    Ok(Edit::Adopt { positions })
 }
 
 fn optional_region(message: Option<&pb::Region>, field: &str) -> Result<Option<Region>, Error> {

@@ -19,6 +19,8 @@ pub struct DeformOptions {
     pub budget_ms: Option<f64>,
     /// Whether intermediate results are wanted.
     pub progressive: bool,
+    /// Whether poses of a stream are solved from nothing, fits from the coarse levels on, as commits are.
+    pub fits_coarse_first: bool,
     /// What frames carry.
     pub output: FrameOutput,
     /// Unacknowledged frames in flight.
@@ -32,6 +34,7 @@ impl DeformOptions {
             solve: SolveSettings::default(),
             budget_ms: None,
             progressive: false,
+            fits_coarse_first: false,
             output: FrameOutput::default(),
             window: 2.min(max_window.max(1)),
         }
@@ -51,6 +54,7 @@ impl DeformOptions {
         let first_pass: pb::options::FirstPass = enumerated(options.first_pass, &at("firstPass"))?;
         let method: pb::options::Method = enumerated(options.method, &at("method"))?;
         let volume: pb::options::Volume = enumerated(options.volume, &at("volume"))?;
+        let fit: pb::options::Fit = enumerated(options.fit, &at("fit"))?;
         if let Some(seen) = options.refine.filter(|n| *n > MOST_REFINE) {
             return Err(Error::invalid(
                 at("refine"),
@@ -101,6 +105,7 @@ impl DeformOptions {
             },
             budget_ms,
             progressive: options.progressive,
+            fits_coarse_first: fit == pb::options::Fit::CoarseFirst,
             output: FrameOutput {
                 normals: output.normals,
                 tangents: output.tangents,

@@ -7,20 +7,37 @@ use prost::bytes::Bytes;
 /// The largest weight.
 const HEAVIEST: f32 = 1e6;
 
+/// The little-endian 32-bit floats x, y, z of points: finite, 12 bytes each.
+///
+/// # Errors
+/// [`Error::Invalid`] with the path of the value below `field`.
+pub(super) fn float_points(bytes: &[u8], field: &str) -> Result<Vec<[f32; 3]>, Error> {
+    let (places, rest) = bytes.as_chunks::<12>();
+    if !rest.is_empty() {
+        let problem = format!(
+            "has {} bytes, which are no 32-bit floats x, y, z: 12 bytes a vertex are allowed",
+            bytes.len()
+        );
+        return Err(Error::invalid(field, problem));
+    }
+    let place =
+        |bytes: &[u8; 12]| [0, 4, 8].map(|k| f32::from_le_bytes([bytes[k], bytes[k + 1], bytes[k + 2], bytes[k + 3]]));
+    let places: Vec<[f32; 3]> = places.iter().map(place).collect();
+    if let Some(k) = places.iter().flatten().position(|v| !v.is_finite()) {
+        let ([vertex, axis], value) = ([k / 3, k % 3], places[k / 3][k % 3]);
+        let problem = format!("has {} = {value}, allowed are finite numbers", ["x", "y", "z"][axis]);
+        return Err(Error::invalid(format!("{field}[{vertex}]"), problem));
+    }
+    Ok(places)
+}
+
 /// Reads targets. Whether there are as many as the handle has vertices depends on the model.
 ///
 /// # Errors
 /// [`Error::Invalid`] with the path of the value below `field`.
 pub(super) fn vertex_targets(message: &pb::VertexTargets, field: &str) -> Result<VertexTargets, Error> {
     let at = |name: &str| format!("{field}.{name}");
-    let (places, rest) = message.positions.as_chunks::<12>();
-    if !rest.is_empty() {
-        let problem = format!(
-            "has {} bytes, which are no 32-bit floats x, y, z: 12 bytes a vertex are allowed",
-            message.positions.len()
-        );
-        return Err(Error::invalid(at("positions"), problem));
-    }
+    let places = float_points(&message.positions, &at("positions"))?;
     let (weights, rest) = message.weights.as_chunks::<4>();
     if !rest.is_empty() {
         let problem = format!(
@@ -35,23 +52,17 @@ pub(super) fn vertex_targets(message: &pb::VertexTargets, field: &str) -> Result
             "has neither positions nor weights; one of both is needed",
         ));
     }
-    if !places.is_empty() && !weights.is_empty() && places.len() != weights.len() {
+    let is_for_all = weights.len() == 1 && message.first.is_none();
+    if !places.is_empty() && !weights.is_empty() && places.len() != weights.len() && !is_for_all {
         let problem = format!("has {} entries, but positions has {}", weights.len(), places.len());
         return Err(Error::invalid(at("weights"), problem));
     }
     let number = |bytes: &[u8; 4]| f32::from_le_bytes(*bytes);
-    let place =
-        |bytes: &[u8; 12]| [0, 4, 8].map(|k| f32::from_le_bytes([bytes[k], bytes[k + 1], bytes[k + 2], bytes[k + 3]]));
     let targets = VertexTargets {
         first: message.first,
-        positions: places.iter().map(place).collect(),
+        positions: places,
         weights: weights.iter().map(number).collect(),
     };
-    if let Some(k) = targets.positions.iter().flatten().position(|v| !v.is_finite()) {
-        let value = targets.positions[k / 3][k % 3];
-        let problem = format!("is {value}, allowed are finite numbers");
-        return Err(Error::invalid(at(&format!("positions[{k}]")), problem));
-    }
     if let Some(k) = targets.weights.iter().position(|w| !(0.0..=HEAVIEST).contains(w)) {
         let problem = format!("is {}, allowed are 0 to {HEAVIEST:e}", targets.weights[k]);
         return Err(Error::invalid(at(&format!("weights[{k}]")), problem));
@@ -98,11 +109,11 @@ mod tests {
         refused(none.clone(), none.clone(), "t");
         refused(vec![0; 13].into(), none.clone(), "t.positions");
         refused(none.clone(), vec![0; 3].into(), "t.weights");
-        refused(two.clone(), floats(&[1.0]), "t.weights");
+        refused(two.clone(), floats(&[1.0, 1.0, 1.0]), "t.weights");
         refused(
             floats(&[0.0, 0.0, 0.0, 0.0, f32::NAN, 0.0]),
             none.clone(),
-            "t.positions[4]",
+            "t.positions[1]",
         );
         refused(two.clone(), floats(&[1.0, -1.0]), "t.weights[1]");
         refused(two.clone(), floats(&[f32::INFINITY, 1.0]), "t.weights[0]");

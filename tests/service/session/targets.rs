@@ -5,7 +5,7 @@ use super::real::{bar_files, bent_in};
 use pliant::engine::{Handle, HandlePose, HandleSet, Region, VertexTargets};
 use pliant::session::store::StoreLocation;
 use pliant::session::{Manager, OpenDeformer, SessionConfig};
-use pliant::wire::{PoseCommit, StreamRequest};
+use pliant::wire::{PoseCommit, SessionEdit, StreamRequest, pb, session_edit};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -119,5 +119,86 @@ async fn parts_are_solved_once_and_commits_of_targets_undo_and_reopen_to_the_bit
     assert_eq!(fixture.digest().await, rest);
     fixture.redo().await;
     assert_eq!(fixture.digest().await, whole.digest);
+    close(manager).await;
+}
+
+/// An edit that adopts positions, or a part of them.
+fn adopted(positions: &[[f32; 3]], first: u32, more: bool) -> SessionEdit {
+    let bytes: Vec<u8> = positions.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
+    let adopt = pb::edit_request::Adopt {
+        positions: bytes.into(),
+        first,
+        more,
+    };
+    let request = pb::EditRequest {
+        operation: Some(pb::edit_request::Operation::Adopt(adopt)),
+        ..Default::default()
+    };
+    session_edit(&request).expect("an edit")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_shape_in_parts_is_adopted_once_whole_and_undoes_and_reopens_to_the_bit() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let manager = manager_of(folder.path()).await;
+    let fixture = scanned(&manager).await;
+    let (rest, all) = (fixture.digest().await, leaning());
+    let edit = async |edit: SessionEdit| manager.edit(&tenant(), &fixture.id, edit, None).await;
+    let before = edit(adopted(&all[..30], 0, true)).await.expect("kept").revision;
+    assert_eq!(fixture.digest().await, rest, "nothing changes before the last part");
+    let field = |refused: Result<pb::EditResult, Error>| refused.expect_err("refused").field;
+    assert_eq!(
+        field(edit(adopted(&all[31..], 31, false)).await).as_deref(),
+        Some("adopt.first")
+    );
+    // What was kept is gone with it, and with any other change.
+    assert_eq!(
+        field(edit(adopted(&all[30..], 30, false)).await).as_deref(),
+        Some("adopt.first")
+    );
+    edit(adopted(&all[..30], 0, true)).await.expect("kept");
+    fixture.undo().await;
+    fixture.redo().await;
+    fixture
+        .solve(PoseCommit {
+            seq: 1,
+            changes: Vec::new(),
+            options: stream_options(),
+        })
+        .await;
+    assert_eq!(
+        field(edit(adopted(&all[30..], 30, false)).await).as_deref(),
+        Some("adopt.first")
+    );
+    fixture.undo().await;
+    let many = [&all[..], &all[..]].concat();
+    assert_eq!(
+        field(edit(adopted(&many, 0, true)).await).as_deref(),
+        Some("adopt.positions")
+    );
+
+    edit(adopted(&all[..30], 0, true)).await.expect("kept");
+    edit(adopted(&all[30..40], 30, true)).await.expect("kept");
+    let done = edit(adopted(&all[40..], 40, false)).await.expect("adopted");
+    assert_eq!(done.revision, before + 1);
+    let whole = fixture.digest().await;
+    assert_ne!(whole, rest);
+    fixture.undo().await;
+    let at_once = edit(adopted(&all, 0, false)).await.expect("adopted");
+    assert_eq!((at_once.digest, &whole), (done.digest, &fixture.digest().await));
+    let id = fixture.id.clone();
+    drop(fixture);
+    close(manager).await;
+
+    let manager = manager_of(folder.path()).await;
+    let fixture = Fixture {
+        manager: manager.clone(),
+        id,
+    };
+    assert_eq!(fixture.digest().await, whole, "as it was stored");
+    fixture.undo().await;
+    assert_eq!(fixture.digest().await, rest);
+    fixture.redo().await;
+    assert_eq!(fixture.digest().await, whole);
     close(manager).await;
 }

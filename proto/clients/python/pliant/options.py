@@ -33,6 +33,8 @@ class SolveFields(TypedDict, total=False):
     rotation_smoothing: float
     #: Whether a commit with re-fits gives back the volume that twists and pulls would lose.
     volume: Literal["keep", "free"]
+    #: Where re-fits on a stream begin: with what the pose before has found, or each pose as its commit would, on coarse levels.
+    fit: Literal["continued", "coarse_first"]
     #: Frames also carry normals.
     normals: bool
     #: Frames also carry tangents.
@@ -68,6 +70,8 @@ def options(fields: SolveFields) -> pb.Options:
             message.first_pass = enum(name, pb.Options.FirstPass, value)
         elif name == "volume":
             message.volume = enum(name, pb.Options.Volume, value)
+        elif name == "fit":
+            message.fit = enum(name, pb.Options.Fit, value)
         elif name == "method":
             message.method = enum(name, pb.Options.Method, value)
         else:

@@ -333,8 +333,13 @@ impl Deformer {
                     .map_or(0, |system| count_u32(system.stiff_parts(body).count())),
             },
             handles: self.handle_facts(),
-            origin: BoundingBox::of(&self.model().geometry.positions).origin(),
+            origin: self.origin(),
         }
+    }
+
+    /// What 32-bit positions are relative to: [`DeformerFacts::origin`].
+    pub(super) fn origin(&self) -> DVec3 {
+        BoundingBox::of(&self.model().geometry.positions).origin()
     }
 
     /// What a user should know of `poses`: handles that take tied parts from each other. Poses of other handles give none.
@@ -441,6 +446,7 @@ impl Deformer {
             primitives: &self.geometry().primitives,
             mesh: &self.derived.mesh,
             parts: &self.derived.parts,
+            origin: self.origin(),
             exec,
             images: OnceCell::new(),
         }

@@ -45,7 +45,8 @@ impl Deformer {
             self.forget_past();
         }
         let rest = self.rest_shape();
-        let shape = if at_rest { &rest } else { order.shape };
+        let shape = &self.edited_shape(order, exec)?;
+        let is_adopted = order.edit.kind() == EditKind::Adopt;
         let mut origins = self.topology().origins(&self.derived.mesh);
         let mut surface = self.edit_surface(&shape.positions, &origins, exec)?;
         let points = (shape.id != rest.id).then(|| surface.own_surface().point_positions());
@@ -77,11 +78,15 @@ impl Deformer {
         };
         let mut patch = plan_edit(&mut context, order.edit, &Exec::new(exec.pool, &beside))?;
         exec.check()?;
-        patch.idle = std::mem::take(&mut surface.idle_vertices);
+        // What is given vertex by vertex keeps all of them.
+        if !is_adopted {
+            patch.idle = std::mem::take(&mut surface.idle_vertices);
+        }
         let (applied, left_behind) = self.apply(&mut patch, &surface, &origins, order, exec)?;
         let patch = &patch;
         self.admit_size(&applied, exec)?;
-        let mut carried = self.carry(&applied, patch, &surface.seams, order, exec)?;
+        let on_shape = EditCommand { shape, ..*order };
+        let mut carried = self.carry(&applied, patch, &surface.seams, &on_shape, exec)?;
         let mut report = self.report_edit(before, &applied, patch);
         report.warnings.extend(left_behind);
         let points_before = self.derived.mesh.positions.len();
@@ -89,6 +94,11 @@ impl Deformer {
         let (mut topology, applied) = (self.topology()).after_edit(&surface, &origins, applied, patch, families);
         if let Some(edited) = topology.edited.as_mut() {
             edited.apart |= order.edit.kind() == EditKind::Cut;
+        }
+        if is_adopted {
+            // Vertices that the solver has as one are each where they were given.
+            let given = |&was: &u32| shape.positions[was as usize];
+            topology.rest = Arc::new(applied.old_from_vertex.iter().map(given).collect());
         }
         if shape.id != rest.id {
             // What the edit sees becomes the rest pose, of what rides along too.
@@ -362,7 +372,8 @@ impl Deformer {
             set,
             vertices,
             pivots: &pivots,
-            moved: match !at_rest && order.shape.positions != *self.rest() {
+            moved: match order.shape.positions != *self.rest() {
+                true if at_rest => Some(Vec::new()),
                 true => self.transforms_in(&order.shape.positions, order.poses).ok(),
                 false => None,
             },

@@ -82,6 +82,12 @@ pub enum Edit {
     },
     /// Takes away parts that are small, and triangles that lie on others.
     Clean(CleanCommand),
+    /// Makes a shape the rest pose, with vertices where they are given. Vertices and triangles stay.
+    Adopt {
+        /// Where, relative to [`DeformerFacts::origin`](super::DeformerFacts::origin): of each render vertex, or of each that is no
+        /// passenger's. Empty: the shape as it is.
+        positions: Vec<[f32; 3]>,
+    },
 }
 
 /// What a cleaning takes away.
@@ -223,6 +229,7 @@ pub enum EditKind {
     InsertCurve,
     Weld,
     Clean,
+    Adopt,
 }
 
 /// The shape on which an edit works.
@@ -317,6 +324,7 @@ impl EditKind {
             Self::InsertCurve => "insertCurve",
             Self::Weld => "weld",
             Self::Clean => "clean",
+            Self::Adopt => "adopt",
         }
     }
 }
@@ -359,6 +367,7 @@ impl Edit {
             Self::InsertCurve { .. } => EditKind::InsertCurve,
             Self::Weld { .. } => EditKind::Weld,
             Self::Clean(_) => EditKind::Clean,
+            Self::Adopt { .. } => EditKind::Adopt,
         }
     }
 }

@@ -136,6 +136,7 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
         }
         Edit::Weld { tolerance } => plan_weld(context, *tolerance, exec)?,
         Edit::Clean(clean) => plan_cleaning(&surface, clean, exec)?,
+        Edit::Adopt { .. } => plan_adoption(context),
     };
     if let Some(cap) = edit.own_cap() {
         context.add_caps(&mut patch, cap);
@@ -277,6 +278,16 @@ fn plan_smoothing(
     (context.surface.seams).spread_blends(&mut patch, &context.surface.triangles);
     context.surface.follow_moves(&patch);
     Ok(patch)
+}
+
+/// Leaves the surface as it is in the shape.
+fn plan_adoption(context: &EditContext<'_>) -> SurfacePatch {
+    let mut patch = SurfacePatch::default();
+    if context.regions.positions == context.rest {
+        let warning = EditWarning::new("adopt-nothing", "the shape is the rest pose already", "");
+        patch.warnings.push(warning);
+    }
+    patch
 }
 
 /// Takes away what a cleaning names.

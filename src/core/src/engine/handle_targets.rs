@@ -32,7 +32,7 @@ impl ResolvedHandles {
     pub fn with_targets(
         &self,
         handle: usize,
-        pose: HandlePose,
+        mut pose: HandlePose,
         before: Option<&HandlePose>,
         rest: &[DVec3],
         field: &str,
@@ -45,6 +45,12 @@ impl ResolvedHandles {
                 return Err(Error::invalid(format!("{field}.guide"), problem));
             }
             None => {}
+        }
+        if let (Some(targets), Some(points)) = (&mut pose.targets, &self.targets[handle])
+            && targets.has_one_weight()
+        {
+            let weight = targets.weights[0];
+            Arc::make_mut(targets).weights.resize(points.vertices.len(), weight);
         }
         let (targets, points) = match (&pose.targets, &self.targets[handle]) {
             (None, None) => return Ok(pose),
@@ -78,7 +84,10 @@ impl ResolvedHandles {
         }
         let rest: Vec<[f32; 3]> = match targets.first {
             None => Vec::new(),
-            Some(_) => (points.vertices.iter().map(|v| rest[*v as usize].as_vec3().to_array())).collect(),
+            Some(_) => {
+                let place = |v: &u32| (rest[*v as usize] - points.origin).as_vec3().to_array();
+                points.vertices.iter().map(place).collect()
+            }
         };
         let before = before.and_then(|pose| pose.targets.as_deref());
         let is_whole = targets.first.is_none() && !targets.positions.is_empty();

@@ -26,6 +26,7 @@
 //! This module knows no message, no connection and no clock: `wire` turns messages into its types and back, and checks them
 //! on the way. What depends on the model is checked here; an [`Error`] names the field of the request.
 
+mod adopt;
 mod animation;
 mod buckles;
 mod cap_coordinates;

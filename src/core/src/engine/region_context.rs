@@ -21,6 +21,8 @@ pub(super) struct RegionContext<'a> {
     pub primitives: &'a [Primitive],
     pub mesh: &'a Mesh,
     pub parts: &'a Components,
+    /// What 32-bit positions are relative to.
+    pub origin: DVec3,
     pub exec: &'a Exec<'a>,
     /// The mirror images of solver vertices, once a region asked for them.
     pub images: OnceCell<MirrorImages>,

@@ -96,7 +96,7 @@ pub(super) fn resolve_handles(
         }
         let at = format!("handles[{k}]");
         let mut hold = hold_nodes(body, handle, held, &at, context.exec)?;
-        let mut targets = (handle.targets).map(|per| TargetVertices::of(context.mesh, &vertices, per, &mut hold.pulls));
+        let mut targets = (handle.targets).map(|per| TargetVertices::of(context, &vertices, per, &mut hold.pulls));
         if let Some(targets) = &mut targets {
             let admit_guide = |bytes| admit(held_bytes + bytes);
             targets.bind_guide(handle, context.positions, &at, &admit_guide, context.exec)?;

@@ -165,6 +165,9 @@ pub(super) const EDITED_AT_REST: SolveSettings = SolveSettings {
 pub enum SolveMode {
     /// Starts from the last result, for the sake of speed.
     Drag,
+    /// Solved as a commit is, fits from the coarse levels on, but not looked at for folds: for poses of a drag that must not depend on
+    /// those before them.
+    Anew,
     /// Depends on model, handles, poses and settings alone, so that repeated results are bit-identical.
     Commit,
 }

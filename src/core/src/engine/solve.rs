@@ -193,7 +193,7 @@ impl Deformer {
         *solutions += 1;
         let id = ShapeId::solution(derived.lineage.id, *solutions);
         match mode {
-            SolveMode::Drag => state.recycle(solved.positions, solved.frames),
+            SolveMode::Drag | SolveMode::Anew => state.recycle(solved.positions, solved.frames),
             SolveMode::Commit => {
                 state.release_start();
                 *committed = Some(CommittedShape {
@@ -240,13 +240,13 @@ fn pose_request<'a>(
     let (start, refine, extent) = match mode {
         SolveMode::Drag if shows_without_frames => (SolveStart::Warm, 0, SolutionExtent::Positions),
         SolveMode::Drag => (SolveStart::Warm, 0, SolutionExtent::Surface),
-        SolveMode::Commit => (SolveStart::Fresh, COMMIT_REFINE, SolutionExtent::Graph),
+        SolveMode::Anew | SolveMode::Commit => (SolveStart::Fresh, COMMIT_REFINE, SolutionExtent::Graph),
     };
     PoseRequest {
         transforms,
         quality: Quality {
             refine: settings.quality.refine.or(Some(refine)),
-            keeps_volume: settings.quality.keeps_volume && mode == SolveMode::Commit,
+            keeps_volume: settings.quality.keeps_volume && mode != SolveMode::Drag,
             ..settings.quality
         },
         start,
@@ -254,7 +254,7 @@ fn pose_request<'a>(
         fits: settings.fits,
         extent,
         smooth_borders: settings.recipe >= Recipe::SmoothBorders
-            && mode == SolveMode::Commit
+            && mode != SolveMode::Drag
             && settings.method == Method::Harmonic,
     }
 }

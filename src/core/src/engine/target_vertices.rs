@@ -2,6 +2,7 @@
 
 use super::error::Error;
 use super::handle::{Handle, HandlePose, HandleSet};
+use super::region_context::RegionContext;
 use super::resolved_handles::HeldBytesAdmission;
 use super::vertex_targets::{StiffnessPer, VertexTargets};
 use crate::deform::{BoundGuide, DeformableBody, GuideProblem, HandleConstraint};
@@ -23,11 +24,14 @@ pub(super) struct TargetVertices {
     weights: Vec<f64>,
     /// What gives their places.
     guide: Option<BoundGuide>,
+    /// What targets are relative to.
+    pub origin: DVec3,
 }
 
 impl TargetVertices {
     /// The vertices that `held` marks of a handle with `pulls`, whose weights take areas in where the handle asks for that.
-    pub fn of(mesh: &Mesh, held: &[bool], per: StiffnessPer, pulls: &mut [(u32, f64)]) -> Self {
+    pub fn of(context: &RegionContext<'_>, held: &[bool], per: StiffnessPer, pulls: &mut [(u32, f64)]) -> Self {
+        let mesh = context.mesh;
         if per == StiffnessPer::Area {
             let areas = shares_of_area(mesh);
             pulls
@@ -43,6 +47,7 @@ impl TargetVertices {
         Self {
             pull_of: vertices.iter().map(pull_of).collect(),
             weights: pulls.iter().map(|p| p.1).collect(),
+            origin: context.origin,
             vertices,
             guide: None,
         }
@@ -119,6 +124,7 @@ impl TargetVertices {
             };
             let mut weight = targets.weights.get(k).map_or(1.0, |w| f64::from(*w));
             let rest = rest[vertex as usize];
+            let near = rest - self.origin;
             let place = targets.positions.get(k).map(|p| Vec3::from_array(*p));
             let way = match (led.map(|led| led[k]), place) {
                 (Some(None), _) => {
@@ -126,7 +132,7 @@ impl TargetVertices {
                     DVec3::ZERO
                 }
                 (Some(Some(place)), _) => place - rest,
-                (None, Some(place)) if place != rest.as_vec3() => place.as_dvec3() - rest,
+                (None, Some(place)) if place != near.as_vec3() => place.as_dvec3() - near,
                 _ => DVec3::ZERO,
             };
             *sum = (sum.0 + way * weight, sum.1 + weight, sum.2 + 1);

@@ -24,9 +24,11 @@ pub struct VertexTargets {
     /// `None`: the lists have an entry for each vertex of the handle, in the order of the model's vertices. Else they are of some
     /// of them, from this one of the handle on; the others keep what they have.
     pub first: Option<u32>,
-    /// The places, model space. Empty: as before, which is in the rest pose to begin with.
+    /// The places, relative to [`DeformerFacts::origin`](super::DeformerFacts::origin). Empty: as before, which is in the rest pose to
+    /// begin with.
     pub positions: Vec<[f32; 3]>,
-    /// What each of them weighs, 0 or more: a factor of the stiffness. Empty: as before, which is 1 to begin with.
+    /// What each of them weighs, 0 or more: a factor of the stiffness; of all vertices, one number is for each. Empty: as before, which is
+    /// 1 to begin with.
     pub weights: Vec<f32>,
 }
 
@@ -44,6 +46,11 @@ impl VertexTargets {
     pub fn weighted(self, weights: impl IntoIterator<Item = f32>) -> Self {
         let weights = weights.into_iter().collect();
         Self { weights, ..self }
+    }
+
+    /// Whether the weights are one number, which is for all vertices of the handle.
+    pub(super) fn has_one_weight(&self) -> bool {
+        self.first.is_none() && self.weights.len() == 1
     }
 
     /// Bytes held.

@@ -64,6 +64,11 @@ impl PulledPlaces {
         }
     }
 
+    /// Whether a hold has targets.
+    pub fn has_targets(&self) -> bool {
+        self.has_targets.contains(&true)
+    }
+
     /// Marks the components in which a pull wants a node elsewhere than in the rest pose.
     pub fn mark_moved(&self, moved: &mut [bool]) {
         moved.iter_mut().zip(&self.moved).for_each(|(all, own)| *all |= own);

@@ -30,7 +30,8 @@ impl PoseSolve<'_> {
     /// shows in the result by what the energy is still short of its least.
     pub(crate) fn may_begin_coarse(&self, first: &FirstRotations<'_>, fit: &RotationFit<'_>) -> bool {
         let request = self.request;
-        request.start == SolveStart::Fresh
+        // A warm pose with targets goes on from where the last one was: its fits are fast, and on the graph alone.
+        (request.start == SolveStart::Fresh || self.handles.places.has_targets())
             && request.fits == FitOrder::CoarseFirst
             && !first.is_animation
             && fit.is_plain()
@@ -53,11 +54,19 @@ impl PoseSolve<'_> {
         let (handles, body, exec) = (self.handles, self.body, self.exec);
         let system = &handles.positions.system;
         exec.progress.begin_pass("load");
+        let is_warm = self.request.start == SolveStart::Warm;
+        let resumed = (is_warm && state.extra.len() == body.nodes()).then(|| fit.resume(&state.extra, exec.pool));
+        let first = resumed.map(|turns| std::mem::replace(&mut posed.frames, fit.frames(&turns, exec.pool)));
         self.load_rows(fit, posed, state);
+        if let Some(first) = first {
+            posed.frames = first;
+        }
         self.pull_scattered(state);
-        let SolveState { rows, workspace, .. } = state;
-        system.start_pose(&body.hierarchy, &mut rows.pose, workspace, exec)?;
-        self.pull_scattered(state);
+        if !is_warm {
+            let SolveState { rows, workspace, .. } = state;
+            system.start_pose(&body.hierarchy, &mut rows.pose, workspace, exec)?;
+            self.pull_scattered(state);
+        }
         let mut stats = self.run_rows(false, state, tally)?;
         let enough = if body.nodes() <= SMALL { ENOUGH_OF_SMALL } else { ENOUGH };
         let mut last = f64::INFINITY;

@@ -262,6 +262,7 @@ pub(crate) fn start_session(
         next_stream: 0,
         kept,
         memory_state: MemoryState::Full,
+        adopted_parts: None,
         acting: "pliant".into(),
     };
     task.publish_view();

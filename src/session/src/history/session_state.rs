@@ -50,11 +50,15 @@ impl SessionState {
         self.facts.model.as_ref().map_or(0, |m| m.triangles)
     }
 
+    /// Render vertices of the model.
+    pub fn vertices(&self) -> u32 {
+        self.facts.model.as_ref().map_or(0, |m| m.vertices)
+    }
+
     /// About how many points are looked at when `handles` are set in this state.
     pub fn cost_of_handles(&self, handles: &HandleSet) -> u64 {
         let nodes = self.facts.solver.as_ref().map_or(0, |s| s.graph_vertices);
-        let vertices = self.facts.model.as_ref().map_or(0, |m| m.vertices);
-        handles.cost(u64::from(nodes) + u64::from(vertices))
+        handles.cost(u64::from(nodes) + u64::from(self.vertices()))
     }
 }
 

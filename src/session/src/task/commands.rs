@@ -31,6 +31,7 @@ use pliant_wire::{
     CarryOrder, CrossingsOrder, DeformOptions, MakeRigOrder, PoseCommit, SessionEdit, made_rig_message, origin_of, pb,
     written_warnings,
 };
+use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -449,8 +450,11 @@ impl SessionTask {
 
 impl RunCall for SessionEdit {
     async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<pb::EditResult, Error> {
+        let edit = match task.join_parts(self)? {
+            ControlFlow::Continue(edit) => Arc::new(edit),
+            ControlFlow::Break(kept) => return Ok(kept),
+        };
         let limit = task.shared.config.build;
-        let edit = Arc::new(self);
         let (edited, shape, mut report, watch) = loop {
             let state = task.history.current().clone();
             let (shape, recipe) = (task.history.shape(state.shape), task.history.recipe(state.shape));
@@ -501,7 +505,7 @@ fn reserve_for_clip(task: &mut SessionTask, bytes: usize) -> Result<(), Error> {
 }
 
 /// Reserves memory for `what` until the call is over.
-fn reserve_more(task: &mut SessionTask, needed: u64, what: &str) -> Result<(), Error> {
+pub(super) fn reserve_more(task: &mut SessionTask, needed: u64, what: &str) -> Result<(), Error> {
     let reserved = task.memory.grow_to(task.memory.bytes().saturating_add(needed));
     reserved.map_err(|shortage| {
         let text = format!("{what} would need {needed} bytes of memory, and {shortage}");

@@ -23,6 +23,7 @@ use crate::shared::SharedResources;
 use crate::store::ms_ago;
 use crate::stream::mailbox::Mailbox;
 use crate::stream::waiting_poses::WaitingPose;
+use crate::task::adopted_parts::AdoptedParts;
 use pliant_core::engine;
 use pliant_exec::progress::Progress as _;
 use pliant_wire::frames::Frame;
@@ -51,6 +52,8 @@ pub(crate) struct SessionTask {
     /// What is known of the log in the store, if the session is kept.
     pub kept: Option<KeptSession>,
     pub memory_state: MemoryState,
+    /// The parts of a shape to adopt that have come so far.
+    pub adopted_parts: Option<AdoptedParts>,
     /// The caller of the work under way, for the audit trail.
     pub acting: Arc<str>,
 }
@@ -283,7 +286,8 @@ impl SessionTask {
     /// Counts in the ledger what it holds.
     pub fn count_memory(&self) {
         let engine = self.deformer.as_ref().map_or(0, LoadedDeformer::byte_size);
-        let bytes = engine.saturating_add(self.history.byte_size());
+        let parts = self.adopted_parts.as_ref().map_or(0, AdoptedParts::byte_size);
+        let bytes = engine.saturating_add(self.history.byte_size()).saturating_add(parts);
         // What work makes it asks for before; what a pose leaves in the solver is little, and counts anyway.
         let _ = self.memory.resize(bytes);
     }

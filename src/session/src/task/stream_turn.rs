@@ -15,7 +15,9 @@ use crate::stream::mailbox::Mailbox;
 use crate::stream::waiting_poses::{DraggedPoses, PoseEntries, WaitingPose};
 use crate::task::commands::lane_of_commit;
 use crate::task::session_task::{SessionTask, no_handles};
-use pliant_core::engine::{self, HandlePose, HandlePoses, Quality, SolveMode, SolveUpdate, TopologyState};
+use pliant_core::engine::{
+    self, COMMIT_REFINE, HandlePose, HandlePoses, Quality, SolveMode, SolveUpdate, TopologyState,
+};
 use pliant_wire::frames::Frame;
 use pliant_wire::origin_of;
 use std::sync::Arc;
@@ -304,15 +306,19 @@ impl TurnContext {
             Duration::try_from_secs_f64(ms / 1e3).unwrap_or(self.longest)
         });
         let budget = asked.min(self.longest);
+        let (mode, refine) = match settings.fits_coarse_first {
+            true => (SolveMode::Anew, COMMIT_REFINE),
+            false => (SolveMode::Drag, 0),
+        };
+        let refine = settings.solve.quality.refine.unwrap_or(refine);
         let mut on_cycle = |now: &SolveUpdate<'_>| {
             // Refinement goes on from frame to frame, so a newer pose loses nothing by cutting it short.
-            let refining = now.refined > 0;
+            let refining = now.refined > 0 && mode == SolveMode::Drag;
             let has_newer = || self.mailbox.has_newer_pose();
             if watch.elapsed() >= budget || ((settings.progressive || refining) && has_newer()) {
                 return false;
             }
-            let is_unfinished = !is_good_enough(now, &settings.solve.quality)
-                || now.refined < settings.solve.quality.refine.unwrap_or(0);
+            let is_unfinished = !is_good_enough(now, &settings.solve.quality) || now.refined < refine;
             if settings.progressive && is_unfinished && self.mailbox.wants_intermediate_frame() {
                 let positions = Arc::new((now.positions)());
                 let shading = shader.as_ref().map(|s| Arc::new(s.shade(&positions)));
@@ -324,7 +330,7 @@ impl TurnContext {
             }
             true
         };
-        let solved = deformer.solve(poses, &settings.solve, SolveMode::Drag, &work.exec(), &mut on_cycle)?;
+        let solved = deformer.solve(poses, &settings.solve, mode, &work.exec(), &mut on_cycle)?;
         let solve_time = watch.elapsed();
         let mut frame = deformer.last_frame(pose.seq, settings, &self.frames, &solved);
         frame.header.solve_ms = ms_of(solve_time);
