@@ -68,6 +68,8 @@ impl Deformer {
             }),
             surface: &mut surface,
             origins: &mut origins,
+            body: &self.options.body,
+            wrapped: None,
             admit_growth: &|triangles| self.admit_growth(triangles, exec),
         };
         // All that there is stays until the edit is whole.
@@ -77,6 +79,7 @@ impl Deformer {
         };
         let mut patch = plan_edit(&mut context, order.edit, &Exec::new(exec.pool, &beside))?;
         exec.check()?;
+        let wrapped = context.wrapped.take();
         patch.idle = std::mem::take(&mut surface.idle_vertices);
         let (applied, left_behind) = self.apply(&mut patch, &surface, &origins, order, exec)?;
         let patch = &patch;
@@ -84,6 +87,7 @@ impl Deformer {
         let mut carried = self.carry(&applied, patch, &surface.seams, order, exec)?;
         let mut report = self.report_edit(before, &applied, patch);
         report.warnings.extend(left_behind);
+        report.wrap = wrapped;
         let points_before = self.derived.mesh.positions.len();
         let families = (self.derived.families).after_edit(points_before, &surface.surface(), &applied, patch);
         let (mut topology, applied) = (self.topology()).after_edit(&surface, &origins, applied, patch, families);
@@ -105,7 +109,10 @@ impl Deformer {
         let change = TopologyChange {
             topology: Arc::new(topology),
             applied: &applied,
-            follow: nodes.is_some() && applied.old_from_point.len() == applied.points as usize,
+            // Of what moves as a whole nothing is left to be repaired.
+            follow: order.edit.kind() != EditKind::Wrap
+                && nodes.is_some()
+                && applied.old_from_point.len() == applied.points as usize,
             nodes: nodes.flatten(),
         };
         let id = self.next_topology;
