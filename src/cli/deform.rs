@@ -211,7 +211,7 @@ pub(super) fn job_from_text(text: &[u8], path: &Path, files: &NamedFiles) -> Res
 
 /// Puts the models in that a job names by file. `place` stands before the names of fields where one is wrong.
 pub(super) fn read_named_models(job: &mut pb::Job, place: &str, files: &NamedFiles) -> Result<(), CliFailure> {
-    use pb::edit_request::{Operation, merge};
+    use pb::edit_request::{Operation, merge, wrap};
     use pb::passenger::{Passenger, file};
     let mut models = NamedModels {
         files,
@@ -222,13 +222,22 @@ pub(super) fn read_named_models(job: &mut pb::Job, place: &str, files: &NamedFil
         let Some(pb::step::Step::Edit(edit)) = &mut step.step else {
             continue;
         };
-        let Some(Operation::Merge(merge)) = &mut edit.operation else {
-            continue;
-        };
-        if let Some(merge::Source::File(name)) = &merge.source {
-            let bytes = models.read_once(name, || format!("{place}steps[{k}].merge.file"))?;
-            report_format(&mut merge.format, name);
-            merge.source = Some(merge::Source::Model(bytes));
+        match &mut edit.operation {
+            Some(Operation::Merge(merge)) => {
+                if let Some(merge::Source::File(name)) = &merge.source {
+                    let bytes = models.read_once(name, || format!("{place}steps[{k}].merge.file"))?;
+                    report_format(&mut merge.format, name);
+                    merge.source = Some(merge::Source::Model(bytes));
+                }
+            }
+            Some(Operation::Wrap(wrap)) => {
+                if let Some(wrap::Target::File(name)) = &wrap.target {
+                    let bytes = models.read_once(name, || format!("{place}steps[{k}].wrap.file"))?;
+                    report_format(&mut wrap.format, name);
+                    wrap.target = Some(wrap::Target::Model(bytes));
+                }
+            }
+            _ => {}
         }
     }
     let passengers = job.create.iter_mut().flat_map(|create| &mut create.passengers);
@@ -275,7 +284,7 @@ pub(super) fn largest_named() -> u64 {
 }
 
 /// Takes the format from a file's name, unless the job says it.
-fn report_format(format: &mut String, name: &str) {
+pub(super) fn report_format(format: &mut String, name: &str) {
     if format.is_empty() {
         let reported = Format::from_file_name(name);
         *format = reported.map_or_else(String::new, |f| f.name().to_owned());

@@ -68,6 +68,13 @@ Examples:
   pliant skin model.obj --rig rig.json -o skinned.glb
   pliant skin model.obj --rig rig.json -o skinned.glb --influences 8";
 
+/// `pliant wrap --help`.
+pub(super) const WRAP: &str = "\
+Examples:
+  pliant wrap body.glb scan.ply -o wrapped.glb        placed by the shapes
+  pliant wrap head.glb scan.obj --landmarks landmarks.json -o wrapped.glb --picture wrapped.png
+  pliant wrap head.glb scan.obj --landmarks landmarks.json -o wrapped.glb --report report.json";
+
 /// `pliant render --help`.
 pub(super) const RENDER: &str = "\
 Examples:

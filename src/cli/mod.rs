@@ -19,6 +19,7 @@ pub mod serve;
 mod store;
 mod terminal;
 mod token;
+mod wrap;
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Parser, Subcommand};
@@ -56,6 +57,9 @@ enum PliantCommand {
     /// Bind a model to the bones of a rig
     #[command(after_help = examples::SKIN)]
     Skin(rig::SkinArgs),
+    /// Wrap a model onto a scan or another model; topology, UVs, rig and morph targets stay
+    #[command(after_help = examples::WRAP)]
+    Wrap(wrap::WrapArgs),
     /// Draw a model as a PNG picture, optionally beside an earlier state
     #[command(after_help = examples::RENDER)]
     Render(render::RenderArgs),
@@ -90,6 +94,7 @@ pub fn main() -> ExitCode {
         PliantCommand::Animate(args) => animate::run_animate(&args),
         PliantCommand::Rig(args) => rig::run_rig(&args),
         PliantCommand::Skin(args) => rig::run_skin(&args),
+        PliantCommand::Wrap(args) => wrap::run_wrap(&args),
         PliantCommand::Render(args) => render::run_render(&args),
         PliantCommand::Sample(args) => examples::run_sample(&args),
         PliantCommand::Token(args) => token::run_token(&args),

@@ -7,8 +7,8 @@ use pliant::asset::{FileSet, Format, Limits, Model};
 use pliant::deform::VolumeMode;
 use pliant::edit::{KeptSide, SubdivisionScheme};
 use pliant::engine::{
-    CutLine, Deformer, DeformerLimits, Edit, EditReport, Handle, HandlePose, MergeJoin, ModelMerge, OpenOptions, Plane,
-    Region, RemeshCommand, SmoothCommand, SmoothKind, SolveSettings,
+    CutLine, Deformer, DeformerLimits, Edit, EditReport, Handle, HandlePose, MergeJoin, ModelMerge, OpenOptions,
+    OtherModel, Plane, Region, RemeshCommand, SmoothCommand, SmoothKind, SolveSettings,
 };
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -226,9 +226,10 @@ fn merged((positions, triangles): &Shape, join: MergeJoin) -> Edit {
     let above = |t: &&[u32; 3]| t.iter().any(|&v| positions[v as usize].y > -0.45);
     let open = twin((positions.clone(), triangles.iter().filter(above).copied().collect()));
     Edit::Merge(Box::new(ModelMerge {
-        files: off(&open, None),
-        from_session: false,
-        format: None,
+        other: OtherModel {
+            files: off(&open, None),
+            ..OtherModel::default()
+        },
         own_from_other: DMat4::from_translation(DVec3::Y * 5.0),
         join,
         tolerance: None,

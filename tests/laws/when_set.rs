@@ -7,7 +7,8 @@ use pliant::batch;
 use pliant::edit::{KeptSide, SubdivisionScheme};
 use pliant::engine::{
     CutLine, Deformer, DeformerLimits, Edit, EditCommand, EditOutcome, EditedShape, Handle, HandlePose, HandleSet,
-    MergeJoin, ModelMerge, ModelShape, Plane, Region, RemeshCommand, SmoothCommand, SmoothKind, SolveSettings,
+    MergeJoin, ModelMerge, ModelShape, OtherModel, Plane, Region, RemeshCommand, SmoothCommand, SmoothKind,
+    SolveSettings,
 };
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -36,9 +37,10 @@ fn operations() -> Vec<(&'static str, Vec<Edit>)> {
         cap: None,
     };
     let merge = ModelMerge {
-        files: bench::obj(&shapes::box_with_cells(DVec3::splat(0.5), [1; 3])),
-        from_session: false,
-        format: None,
+        other: OtherModel {
+            files: bench::obj(&shapes::box_with_cells(DVec3::splat(0.5), [1; 3])),
+            ..OtherModel::default()
+        },
         own_from_other: DMat4::from_translation(DVec3::new(0.25, 0.25, 4.05)),
         join: MergeJoin::Loose,
         tolerance: None,

@@ -5,7 +5,7 @@ use pliant_core::asset::{FileSet, Format, sample, shapes};
 use pliant_core::edit::{KeptSide, SubdivisionScheme};
 use pliant_core::engine::{
     CarriedModel, CutLine, Deformer, DeformerLimits, Edit, EditCommand, EditedShape, Error, Handle, HandlePose,
-    MergeJoin, ModelMerge, OpenOptions, Passenger, PassengerKind, Plane, Region, SolveSettings,
+    MergeJoin, ModelMerge, OpenOptions, OtherModel, Passenger, PassengerKind, Plane, Region, SolveSettings,
 };
 use pliant_core::exec::Exec;
 use pliant_core::mesh::query::TriangleBvh;
@@ -334,9 +334,10 @@ fn edits_of_the_rest_shape_and_merged_models_leave_passengers_alone() {
     let rest = vertices_of(&deformer, 0, deformer.rest()).to_vec();
     let beside: Shape = (bar.0.iter().map(|p| *p + DVec3::X * 3.0).collect(), bar.1.clone());
     let merge = Edit::Merge(Box::new(ModelMerge {
-        files: model_of(&[("second", &beside)]),
-        from_session: false,
-        format: None,
+        other: OtherModel {
+            files: model_of(&[("second", &beside)]),
+            ..OtherModel::default()
+        },
         own_from_other: DMat4::IDENTITY,
         join: MergeJoin::Loose,
         tolerance: None,

@@ -2,9 +2,10 @@
 
 use super::edit::edit;
 use super::options::DeformOptions;
+use super::other_model::{OtherSource, take_other_model};
+use super::pb::edit_request::Operation;
 use super::poses::pose_changes;
 use super::{Error, pb};
-use pb::edit_request::{Operation, merge::Source};
 use pliant_asset::FileSet;
 use pliant_core::engine::{Edit, EditedShape, HandlePose};
 
@@ -44,14 +45,14 @@ pub fn pose_commit(request: &pb::SolveRequest, max_window: u32) -> Result<PoseCo
 /// An edit of a session's model. Made by [`session_edit`].
 #[derive(Debug, Clone)]
 pub struct SessionEdit {
-    /// The request as a store records it: without the session's id and without the model of a merge.
+    /// The request as a store records it: without the session's id and without the other model.
     pub request: pb::EditRequest,
-    /// What is to be done. The files of a merge with another session are empty until that session is asked for them.
+    /// What is to be done. The files of another session are empty until that session is asked for them.
     pub edit: Edit,
     /// The shape that it works on.
     pub on: EditedShape,
-    /// The other session that a merge takes its model from.
-    pub merged_session: Option<String>,
+    /// The other session that a merge or a wrap takes its model from.
+    pub other_session: Option<String>,
     /// More parts follow of the shape that is adopted.
     pub is_part: bool,
 }
@@ -116,12 +117,8 @@ impl SessionEdit {
 /// # Errors
 /// [`Error::Invalid`] with the field.
 pub fn session_edit(request: &pb::EditRequest) -> Result<SessionEdit, Error> {
-    let source = match &request.operation {
-        Some(Operation::Merge(merge)) => merge.source.as_ref(),
-        _ => None,
-    };
-    let merged_session = match source {
-        Some(Source::Session(id)) => Some(id.clone()),
+    let other_session = match request.operation.as_ref().and_then(OtherSource::of) {
+        Some(OtherSource::Session(id)) => Some(id.to_owned()),
         _ => None,
     };
     let (edit, on) = edit(request, Some(&FileSet::default()))?;
@@ -129,15 +126,13 @@ pub fn session_edit(request: &pb::EditRequest) -> Result<SessionEdit, Error> {
         session_id: String::new(),
         ..request.clone()
     };
-    if let Some(Operation::Merge(merge)) = &mut request.operation {
-        merge.source = Some(Source::Session(String::new()));
-    }
+    request.operation.iter_mut().for_each(take_other_model);
     let is_part = matches!(&request.operation, Some(Operation::Adopt(adopt)) if adopt.more);
     Ok(SessionEdit {
         request,
         edit,
         on,
-        merged_session,
+        other_session,
         is_part,
     })
 }
@@ -177,6 +172,7 @@ pub fn page_token(after: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use pb::edit_request::{Operation, merge::Source};
 
     #[test]
     fn a_token_leads_to_the_page_that_it_was_given_for() {
@@ -205,7 +201,9 @@ mod tests {
             ..Default::default()
         };
         let read = session_edit(&request).expect("right");
-        assert_eq!(read.merged_session.as_deref(), Some("other"));
-        assert!(matches!(read.edit, Edit::Merge(merge) if merge.from_session && merge.files.main.is_empty()));
+        assert_eq!(read.other_session.as_deref(), Some("other"));
+        assert!(
+            matches!(read.edit, Edit::Merge(merge) if merge.other.from_session && merge.other.files.main.is_empty())
+        );
     }
 }

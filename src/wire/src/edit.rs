@@ -3,11 +3,13 @@
 use super::check::{enumerated, number, plane, points, positive};
 use super::facts::warning_message;
 use super::handles::region;
+use super::other_model::{OtherSource, other_model};
 use super::vertex_targets::float_points;
+use super::wrap::{wrap_command, wrap_report};
 use super::{Error, pb};
 use glam::{DMat3, DMat4, DVec3, DVec4};
 use pb::edit_request::{self as message, Operation};
-use pliant_asset::{FileSet, Format};
+use pliant_asset::FileSet;
 use pliant_core::engine::{
     CleanCommand, Creases, CutLine, Edit, EditKind, EditReport, EditedShape, MergeJoin, MeshCounts, ModelMerge, OwnCap,
     Region, RemeshCommand, SmoothCommand, SmoothKind,
@@ -25,8 +27,7 @@ pub fn edit(request: &pb::EditRequest, other: Option<&FileSet>) -> Result<(Edit,
     };
     let edit = match &request.operation {
         None => {
-            let allowed =
-                "cut, subdivide, decimate, delete, fill, remesh, smooth, merge, insertCurve, weld, clean or adopt";
+            let allowed = "cut, subdivide, decimate, delete, fill, remesh, smooth, merge, insertCurve, weld, clean, adopt or wrap";
             let problem = format!("is missing, allowed is one of {allowed}");
             return Err(Error::invalid("operation", problem));
         }
@@ -50,6 +51,7 @@ pub fn edit(request: &pb::EditRequest, other: Option<&FileSet>) -> Result<(Edit,
         Some(Operation::Remesh(remesh)) => self::remesh(remesh)?,
         Some(Operation::Smooth(smooth)) => self::smooth(smooth)?,
         Some(Operation::Merge(merge)) => Edit::Merge(Box::new(self::merge(merge, other)?)),
+        Some(Operation::Wrap(wrap)) => Edit::Wrap(Box::new(wrap_command(wrap, other)?)),
         Some(Operation::InsertCurve(curve)) => Edit::InsertCurve {
             points: line(&curve.points, "insertCurve.points", curve.closed)?,
             closed: curve.closed,
@@ -78,6 +80,7 @@ pub fn edit_name(edit: &pb::EditRequest) -> &'static str {
         Some(Operation::Weld(_)) => EditKind::Weld.name(),
         Some(Operation::Clean(_)) => EditKind::Clean.name(),
         Some(Operation::Adopt(_)) => EditKind::Adopt.name(),
+        Some(Operation::Wrap(_)) => EditKind::Wrap.name(),
         None => "none",
     }
 }
@@ -105,6 +108,7 @@ pub fn edit_result(report: &EditReport) -> pb::EditResult {
         deviation: report.deviation,
         volume_change: report.volume_change,
         digest: report.digest.clone(),
+        wrap: report.wrap.as_ref().map(wrap_report),
         repaired: report.repaired,
         ..Default::default()
     }
@@ -297,33 +301,8 @@ fn merge(merge: &message::Merge, other: Option<&FileSet>) -> Result<ModelMerge, 
         message::merge::How::Loose => MergeJoin::Loose,
     };
     let own_from_other = placement(&merge.transform)?;
-    let files = match (&merge.source, other) {
-        (None, _) => {
-            let problem = "names no other model, allowed is one of model, session or, in a job, file";
-            return Err(Error::invalid("merge", problem));
-        }
-        (Some(message::merge::Source::Model(bytes)), _) => FileSet::single("", bytes.clone()),
-        (Some(message::merge::Source::File(name)), _) => {
-            let problem = format!("names \"{name}\", but files are read where a job file is run; give the model");
-            return Err(Error::invalid("merge.file", problem));
-        }
-        (Some(message::merge::Source::Session(_)), Some(files)) => files.clone(),
-        (Some(message::merge::Source::Session(_)), None) => {
-            let problem = "can only be named where there are sessions; give the model";
-            return Err(Error::invalid("merge.session", problem));
-        }
-    };
-    let format = match merge.format.as_str() {
-        "" => None,
-        name => Some(Format::from_name(name).ok_or_else(|| {
-            let problem = format!("is \"{name}\", allowed are {}", Format::read_name_list("and"));
-            Error::invalid("merge.format", problem)
-        })?),
-    };
     Ok(ModelMerge {
-        files,
-        from_session: matches!(merge.source, Some(message::merge::Source::Session(_))),
-        format,
+        other: other_model(OtherSource::of_merge(merge), &merge.format, "merge", other)?,
         own_from_other,
         join,
         tolerance: match merge.tolerance {

@@ -18,12 +18,14 @@ mod handles;
 pub mod json;
 mod made_rig;
 mod options;
+mod other_model;
 mod passengers;
 pub mod pb;
 mod poses;
 pub mod record;
 mod rig;
 mod vertex_targets;
+mod wrap;
 
 pub use animate::{
     AnimateOrder, AnimationSummary, RootMotion, animate_options_from_json, animate_order, animation_totals,

@@ -69,6 +69,8 @@ impl Deformer {
             }),
             surface: &mut surface,
             origins: &mut origins,
+            body: &self.options.body,
+            wrapped: None,
             admit_growth: &|triangles| self.admit_growth(triangles, exec),
         };
         // All that there is stays until the edit is whole.
@@ -78,6 +80,7 @@ impl Deformer {
         };
         let mut patch = plan_edit(&mut context, order.edit, &Exec::new(exec.pool, &beside))?;
         exec.check()?;
+        let wrapped = context.wrapped.take();
         // What is given vertex by vertex keeps all of them.
         if !is_adopted {
             patch.idle = std::mem::take(&mut surface.idle_vertices);
@@ -89,6 +92,7 @@ impl Deformer {
         let mut carried = self.carry(&applied, patch, &surface.seams, &on_shape, exec)?;
         let mut report = self.report_edit(before, &applied, patch);
         report.warnings.extend(left_behind);
+        report.wrap = wrapped;
         let points_before = self.derived.mesh.positions.len();
         let families = (self.derived.families).after_edit(points_before, &surface.surface(), &applied, patch);
         let (mut topology, applied) = (self.topology()).after_edit(&surface, &origins, applied, patch, families);
@@ -115,7 +119,10 @@ impl Deformer {
         let change = TopologyChange {
             topology: Arc::new(topology),
             applied: &applied,
-            follow: nodes.is_some() && applied.old_from_point.len() == applied.points as usize,
+            // Of what moves as a whole nothing is left to be repaired.
+            follow: order.edit.kind() != EditKind::Wrap
+                && nodes.is_some()
+                && applied.old_from_point.len() == applied.points as usize,
             nodes: nodes.flatten(),
         };
         let id = self.next_topology;

@@ -3,13 +3,14 @@
 //! Handles stay across an edit. A region that is given by place stays as it is while the rest shape stays where it is; it then holds what the same handle
 //! holds when it is set after the edit. Every other region becomes the list of the vertices that it held, in the new numbers.
 
-use crate::asset::{FileSet, Format};
 use crate::deform::Transform;
 use crate::edit::{CutPlane, KeptSide, PatchedSurface, SubdivisionScheme, SurfacePatch};
 use crate::engine::facts::{DeformerWarning, MeshCounts, WarningPlace};
 use crate::engine::handle::{Handle, HandlePose, HandlePoses, HandleSet, Plane, Region, Stiff, VertexRange};
+use crate::engine::other_model::OtherModel;
 use crate::engine::settings::SolveSettings;
 use crate::engine::shape::ModelShape;
+use crate::engine::wrap::{WrapCommand, WrapReport};
 use crate::mesh::NONE;
 use glam::{DMat4, DVec3};
 
@@ -68,6 +69,8 @@ pub enum Edit {
     Smooth(SmoothCommand),
     /// Adds another model.
     Merge(Box<ModelMerge>),
+    /// Moves all points so that the surface lies on that of another model.
+    Wrap(Box<WrapCommand>),
     /// Inserts a polyline into the surface as edges.
     InsertCurve {
         /// The points; each is projected to the nearest place of the surface.
@@ -190,11 +193,7 @@ pub enum CutLine {
 #[derive(Debug, Clone)]
 pub struct ModelMerge {
     /// The other model.
-    pub files: FileSet,
-    /// Whether the other model is that of a session, for the words of errors alone.
-    pub from_session: bool,
-    /// Its format; `None`: detected by its first bytes.
-    pub format: Option<Format>,
+    pub other: OtherModel,
     /// Where the other model is placed.
     pub own_from_other: DMat4,
     /// How both are joined.
@@ -230,6 +229,7 @@ pub enum EditKind {
     Weld,
     Clean,
     Adopt,
+    Wrap,
 }
 
 /// The shape on which an edit works.
@@ -292,6 +292,8 @@ pub struct EditReport {
     pub deviation: f64,
     /// Of a smoothing: by which part of the volume of the surface it has changed.
     pub volume_change: f64,
+    /// Of a wrap: how well the surface lies on the target.
+    pub wrap: Option<WrapReport>,
     /// Digest of the positions after the edit.
     pub digest: String,
     /// Whether graph and hierarchy were repaired around the edit, not rebuilt.
@@ -325,11 +327,30 @@ impl EditKind {
             Self::Weld => "weld",
             Self::Clean => "clean",
             Self::Adopt => "adopt",
+            Self::Wrap => "wrap",
         }
     }
 }
 
 impl Edit {
+    /// The other model that it takes, if any.
+    pub fn other_model(&self) -> Option<&OtherModel> {
+        match self {
+            Self::Merge(merge) => Some(&merge.other),
+            Self::Wrap(wrap) => Some(&wrap.target),
+            _ => None,
+        }
+    }
+
+    /// The same, to be changed.
+    pub fn other_model_mut(&mut self) -> Option<&mut OtherModel> {
+        match self {
+            Self::Merge(merge) => Some(&mut merge.other),
+            Self::Wrap(wrap) => Some(&mut wrap.target),
+            _ => None,
+        }
+    }
+
     /// The caps with a material of their own that it makes, if any.
     pub(super) fn own_cap(&self) -> Option<&OwnCap> {
         match self {
@@ -364,6 +385,7 @@ impl Edit {
             Self::Remesh(_) => EditKind::Remesh,
             Self::Smooth(_) => EditKind::Smooth,
             Self::Merge(_) => EditKind::Merge,
+            Self::Wrap(_) => EditKind::Wrap,
             Self::InsertCurve { .. } => EditKind::InsertCurve,
             Self::Weld { .. } => EditKind::Weld,
             Self::Clean(_) => EditKind::Clean,

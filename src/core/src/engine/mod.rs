@@ -43,6 +43,7 @@ mod facts;
 mod handle;
 mod handle_targets;
 mod model_topology;
+mod other_model;
 mod part_families;
 mod quality;
 mod region_context;
@@ -59,6 +60,7 @@ mod target_vertices;
 mod topology_state;
 mod tube_region;
 mod vertex_targets;
+mod wrap;
 
 pub use crate::deform::{Guide, GuidePose, PoseStats, Quality, SolveUpdate};
 pub use crate::reference::Method;
@@ -82,6 +84,7 @@ pub use handle::{
     DefaultPivot, Falloff, FalloffCurve, Handle, HandleConstrains, HandlePose, HandlePoses, HandleRotation,
     HandleScale, HandleSet, Plane, Region, Stiff, VertexRange,
 };
+pub use other_model::OtherModel;
 pub use quality::FrameQuality;
 pub use riding::CarriedNode;
 pub use riding_file::RidingFile;
@@ -95,3 +98,4 @@ pub use stiff::find_hard_parts;
 pub use topology_state::TopologyState;
 pub use tube_region::MOST_TUBE_POINTS;
 pub use vertex_targets::{StiffnessPer, VertexTargets};
+pub use wrap::{LandmarkPlace, WrapCommand, WrapDistances, WrapLandmark, WrapReport};

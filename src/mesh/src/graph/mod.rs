@@ -21,5 +21,5 @@ pub use assemble::surface;
 pub use mesh_graph::{EdgeWeights, GraphRecipe, GraphStats, MeshGraph};
 pub use resample::{MeshChange, ResampledGraph, resample};
 pub use ties::{LOOSE, PartTies, TieAnchor, TieFamilies, TieOptions, resample_tied, tie_parts};
-pub use volume::{InteriorKind, VolumeOptions, estimate_nodes, volume, volume_apart};
+pub use volume::{InteriorKind, VolumeOptions, estimate_nodes, principal_axes, volume, volume_apart};
 pub use winding::WindingTree;

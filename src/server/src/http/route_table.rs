@@ -34,7 +34,10 @@ const PLAIN: Route = Route {
 
 const FORMAT: (&str, &str) = ("format", "glb (or vrm), gltf, obj, ply, off, stl, 3mf, splat or spz");
 /// The same of a model that is opened.
-const OPENED_FORMAT: (&str, &str) = ("format", "glb (or vrm), gltf, obj, ply, off, stl, 3mf, fbx, splat or spz");
+const OPENED_FORMAT: (&str, &str) = (
+    "format",
+    "glb (or vrm), gltf, obj, ply, off, stl, 3mf, fbx, splat or spz",
+);
 
 /// Every route but the pages for people.
 pub(crate) const ROUTES: [Route; 25] = [

@@ -10,7 +10,7 @@ use crate::keeping::kept_session::state_facts;
 use crate::store::{Commit, Store};
 use bytes::Bytes;
 use pliant_asset::FileSet;
-use pliant_core::engine::{Edit, HandleSet};
+use pliant_core::engine::HandleSet;
 use pliant_wire::record::LoggedCommit;
 use pliant_wire::{HandlePatch, PoseCommit, SessionEdit, pb};
 use std::ops::ControlFlow;
@@ -140,7 +140,7 @@ impl Manager {
     ///
     /// # Errors
     /// What is wrong with the edit; `FAILED_PRECONDITION` when the surface does not allow it; `NOT_FOUND` also for a session
-    /// to merge with. Nothing has changed then.
+    /// to merge with or to wrap onto. Nothing has changed then.
     pub async fn edit(
         &self,
         tenant: &Tenant,
@@ -154,27 +154,28 @@ impl Manager {
             ControlFlow::Continue(claim) => claim,
         };
         // Before the session's own task is asked, which may be that of the same session.
-        if let (Edit::Merge(merge), Some(other)) = (&mut edit.edit, &edit.merged_session) {
-            merge.files = self.export_files(tenant, other).await?;
+        let field = format!("{}.session", edit.edit.kind().name());
+        if let (Some(other), Some(session)) = (edit.edit.other_model_mut(), &edit.other_session) {
+            other.files = self.export_files(tenant, session, &field).await?;
         }
         self.call(&session, claim, edit).await
     }
 
     /// A session's model in its current shape.
-    async fn export_files(&self, tenant: &Tenant, id: &str) -> Result<FileSet, Error> {
+    async fn export_files(&self, tenant: &Tenant, id: &str, field: &str) -> Result<FileSet, Error> {
         let named = |e: Error| match (e.code, &e.owner) {
             (ErrorCode::NotFound, _) => Error {
-                field: Some("merge.session".into()),
+                field: Some(field.to_owned()),
                 ..e
             },
             // Who asks must not go there with this call: it is about a session that is here.
             (ErrorCode::Unavailable, Some(owner)) => Error {
-                field: Some("merge.session".into()),
+                field: Some(field.to_owned()),
                 ..Error::new(
                     ErrorCode::FailedPrecondition,
                     format!(
-                        "merge.session: \"{id}\" is at another node, \"{}\" at {}; export its model, which the call for that \
-                         finds there, and merge the model",
+                        "{field}: \"{id}\" is at another node, \"{}\" at {}; export its model, which the call for that \
+                         finds there, and give the model",
                         owner.node, owner.address
                     ),
                 )

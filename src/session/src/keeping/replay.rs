@@ -184,8 +184,8 @@ impl Replay<'_> {
             }
             LoggedCommit::Edit { edit, probe, .. } => {
                 let mut edit = (**edit).clone();
-                if let (engine::Edit::Merge(merge), Some(files)) = (&mut edit.edit, files.get(&stored.sequence)) {
-                    merge.files = files.clone();
+                if let (Some(other), Some(files)) = (edit.edit.other_model_mut(), files.get(&stored.sequence)) {
+                    other.files = files.clone();
                 }
                 self.follow_edit(stored, &edit, probe)?;
             }

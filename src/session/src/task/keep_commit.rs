@@ -17,7 +17,7 @@ use crate::store::{Commit, NewCommit, StoreError, write_shape};
 use crate::task::session_task::SessionTask;
 use pliant_asset::FileSet;
 use pliant_core::engine;
-use pliant_core::engine::{Edit, ModelShape, TopologyState};
+use pliant_core::engine::{ModelShape, TopologyState};
 use pliant_wire::frames::Frame;
 use pliant_wire::record::{AnsweredFrame, LoggedCommit, ShapeProbe};
 use pliant_wire::{PoseKey, SessionEdit, origin_of, pb};
@@ -78,8 +78,8 @@ impl SessionTask {
             self.log_change(AuditedAction::Edit);
             return Ok(());
         };
-        let files: Option<FileSet> = match &mut asked.edit {
-            Edit::Merge(merge) => Some(std::mem::take(&mut merge.files)),
+        let files: Option<FileSet> = match asked.edit.other_model_mut() {
+            Some(other) => Some(std::mem::take(&mut other.files)),
             _ => None,
         };
         let commit = LoggedCommit::Edit {

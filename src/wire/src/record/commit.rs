@@ -7,9 +7,7 @@ use super::messages::{
 use crate::frames::{FrameEncoding, FrameOutput};
 use crate::{Error, SessionEdit, handle_pose, handle_pose_message, handle_set, handle_set_message, pb, session_edit};
 use glam::DVec3;
-use pliant_core::engine::{
-    DefaultPivot, Edit, HandlePose, HandlePoses, HandleSet, Method, Quality, Recipe, SolveSettings,
-};
+use pliant_core::engine::{DefaultPivot, HandlePose, HandlePoses, HandleSet, Method, Quality, Recipe, SolveSettings};
 use pliant_deform::FitOrder;
 use prost::Message as _;
 
@@ -170,7 +168,7 @@ impl LoggedCommit {
             } => CommitKindMessage::Edit(EditMessage {
                 request: Some(edit.request.clone()),
                 files: files.clone(),
-                from_session: matches!(&edit.edit, Edit::Merge(merge) if merge.from_session),
+                from_session: edit.edit.other_model().is_some_and(|other| other.from_session),
                 report: Some((**report).clone()),
                 poses: pose_messages(poses),
                 facts: Some((**facts).clone()),
@@ -215,9 +213,9 @@ impl LoggedCommit {
             CommitKindMessage::Edit(message) => {
                 let request = message.request.ok_or_else(|| missing("edit"))?;
                 let mut edit = session_edit(&request)?;
-                edit.merged_session = None;
-                if let Edit::Merge(merge) = &mut edit.edit {
-                    merge.from_session = message.from_session;
+                edit.other_session = None;
+                if let Some(other) = edit.edit.other_model_mut() {
+                    other.from_session = message.from_session;
                 }
                 Self::Edit {
                     edit: Box::new(edit),

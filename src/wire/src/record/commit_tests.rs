@@ -184,7 +184,7 @@ fn every_edit_comes_back_as_it_was_asked_for() {
     for text in texts {
         let request: pb::EditRequest = crate::json::from_json(text.as_bytes()).expect(&text);
         let mut edit = session_edit(&request).expect(&text);
-        edit.merged_session = None;
+        edit.other_session = None;
         let commit = LoggedCommit::Edit {
             edit: Box::new(edit),
             files: None,

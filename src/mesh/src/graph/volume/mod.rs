@@ -19,6 +19,7 @@ pub(super) mod solid;
 pub(super) mod spread;
 
 pub use build::{estimate_nodes, volume, volume_apart};
+pub use principal_axes::principal_axes;
 
 use crate::Error;
 use crate::graph::mesh_graph::EdgeWeights;

@@ -20,6 +20,16 @@ const CLIMBS: usize = 20_000;
 /// Jacobi's method needs about five rounds.
 const ROUNDS: usize = 16;
 
+/// The principal axes of a surface of even density as a rotation, those of the file where it has no others; in no certain order, and
+/// either way round.
+pub fn principal_axes(mesh: &Mesh) -> DMat3 {
+    let axes = PrincipalAxes::of_surface(mesh).axes;
+    match axes.determinant() < 0.0 {
+        true => DMat3::from_cols(axes.x_axis, axes.y_axis, -axes.z_axis),
+        false => axes,
+    }
+}
+
 /// Three orthogonal directions; those of the file where a surface has no others.
 pub(in crate::graph) struct PrincipalAxes {
     axes: DMat3,

@@ -1,0 +1,226 @@
+//! `pliant wrap`: a model takes the shape of another one, mostly a scan, and keeps its topology and all that hangs on it.
+
+mod landmarks;
+
+use super::deform::report_format;
+use super::drawing::{DrawnShape, NormalChoice, UpAxisChoice, ViewList, parse_views};
+use super::input_files::{in_file, output_format, read_file, read_model};
+use super::output_files::{OutputPermission, check_ending, spare_companions};
+use super::terminal::{CliFailure, StageSpinner, ThreadArgs, pretty_text, print_json};
+use crate::asset::{FileSet, Limits, Model, WrittenFiles};
+use crate::batch::{self, BatchOutput};
+use crate::engine::DeformerLimits;
+use crate::exec::Exec;
+use crate::mesh::grouped_count;
+use crate::pool::Pool;
+use crate::render::{PictureSize, SheetShape, ViewSheet};
+use crate::wire::{self, pb};
+use clap::Args;
+use landmarks::landmarks_from_json;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// Sides of one view of a picture, pixels.
+const SIDES: [u32; 2] = [480, 640];
+
+/// Arguments of `pliant wrap`.
+#[derive(Debug, Args)]
+pub struct WrapArgs {
+    /// Model to wrap: glb (or vrm), gltf, obj, ply, off, stl or fbx
+    template: PathBuf,
+    /// Model or scan to wrap it onto
+    target: PathBuf,
+    /// Output file; its extension selects the format
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Landmarks: a JSON list of {"template": PLACE, "target": PLACE}, where a place is a vertex number or [x, y, z]
+    #[arg(long, value_name = "FILE")]
+    landmarks: Option<PathBuf>,
+    /// Leave the result in the place and of the size of the model; without, it is where the target is
+    #[arg(long)]
+    in_place: bool,
+    /// Write the report as JSON
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
+    /// Draw the model, the target and the result side by side (.png)
+    #[arg(long, value_name = "PICTURE")]
+    picture: Option<PathBuf>,
+    /// Views of the picture, as in `pliant render`
+    #[arg(long, value_name = "VIEWS", default_value = "front,three-quarter", value_parser = parse_views)]
+    #[arg(allow_hyphen_values = true)]
+    view: ViewList,
+    /// Up axis of the models in the picture
+    #[arg(long, value_enum, default_value_t = UpAxisChoice::Y)]
+    up: UpAxisChoice,
+    #[command(flatten)]
+    permission: OutputPermission,
+    /// Print the report as JSON on stdout
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    threads: ThreadArgs,
+}
+
+pub(super) fn run_wrap(args: &WrapArgs) -> Result<(), CliFailure> {
+    let format = output_format(&args.output)?;
+    args.permission.check_target(&args.output)?;
+    if let Some(picture) = &args.picture {
+        check_ending(picture, "png", "a picture")?;
+    }
+    for path in args.report.iter().chain(&args.picture) {
+        if *path == args.output {
+            let problem = format!("{} is where the result is written; name another file", path.display());
+            return Err(CliFailure::Input(problem));
+        }
+        args.permission.check_target(path)?;
+    }
+    let pool = args.threads.start_pool()?;
+    let files = read_model(&args.template)?;
+    for path in args.report.iter().chain(&args.picture) {
+        spare_companions(path, &args.template, &files)?;
+    }
+    let target = read_file(&args.target)?;
+    let job = args.job(target.clone())?;
+    let spinner = StageSpinner::new(args.json);
+    let clock = Instant::now();
+    let millis = || clock.elapsed().as_secs_f64() * 1e3;
+    let output = BatchOutput {
+        format: Some(format),
+        each_step: None,
+    };
+    let limits = DeformerLimits::default();
+    let exec = Exec::new(&pool, &spinner);
+    let mut outcome = batch::run_and_write(files.clone(), &job, output, &limits, &exec, &millis)?;
+    spinner.finish();
+    let written = (args.permission).write_model(&args.output, &outcome.written, &args.template, &files)?;
+    outcome.report.output = written.iter().map(|p| p.display().to_string()).collect();
+    if let Some(path) = &args.report {
+        let text = pretty_text(&wire::json::to_json(&outcome.report)?)?;
+        args.permission.write_file(path, text.as_bytes())?;
+    }
+    if let Some(path) = &args.picture {
+        args.draw(
+            path,
+            [files, FileSet::single(args.target.display().to_string(), target)],
+            &outcome.written,
+            &pool,
+        )?;
+    }
+    match args.json {
+        true => print_json(&outcome.report)?,
+        false => print_summary(&outcome.report, &outcome.written, millis()),
+    }
+    Ok(())
+}
+
+impl WrapArgs {
+    /// The job that wraps.
+    fn job(&self, target: Vec<u8>) -> Result<pb::Job, CliFailure> {
+        use pb::edit_request::{Operation, Wrap, wrap};
+        let landmarks = match &self.landmarks {
+            Some(path) => landmarks_from_json(&read_file(path)?).map_err(|e| in_file(path, e))?,
+            None => Vec::new(),
+        };
+        let mut wrap = Wrap {
+            target: Some(wrap::Target::Model(target.into())),
+            landmarks,
+            in_place: self.in_place,
+            ..Wrap::default()
+        };
+        report_format(&mut wrap.format, &self.target.to_string_lossy());
+        let edit = pb::EditRequest {
+            operation: Some(Operation::Wrap(wrap)),
+            ..pb::EditRequest::default()
+        };
+        let step = pb::Step {
+            step: Some(pb::step::Step::Edit(edit)),
+        };
+        Ok(pb::Job {
+            steps: vec![step],
+            ..pb::Job::default()
+        })
+    }
+
+    /// Draws model, target and result.
+    fn draw(
+        &self,
+        path: &std::path::Path,
+        [template, target]: [FileSet; 2],
+        written: &WrittenFiles,
+        pool: &Pool,
+    ) -> Result<(), CliFailure> {
+        let mut result = FileSet::single(self.output.display().to_string(), written.main.clone());
+        for (uri, bytes) in &written.companions {
+            result.companions.insert(uri.clone(), bytes.clone().into());
+        }
+        let named = [
+            (&self.template, template),
+            (&self.target, target),
+            (&self.output, result),
+        ];
+        let mut surfaces = Vec::new();
+        for (of, files) in named {
+            let model = Model::read(files, None, &Limits::default()).map_err(|e| in_file(of, e))?;
+            let mut shape = DrawnShape::of_model(&model, NormalChoice::File).map_err(|e| in_file(of, e))?;
+            shape.wear_materials()?;
+            surfaces.push(shape.surface(None, glam::DVec3::ZERO, pool)?);
+        }
+        let captions = ["template", "target", "wrapped"];
+        let shapes = surfaces.iter().zip(captions).map(|(surface, caption)| SheetShape {
+            surface,
+            caption: caption.to_owned(),
+            marks: Vec::new(),
+            near: None,
+        });
+        let sheet = ViewSheet {
+            shapes: shapes.collect(),
+            views: &self.view.directions(self.up)?,
+            size: PictureSize::new(SIDES[0], SIDES[1])?,
+            columns: None,
+            fits_each: true,
+            key: None,
+        };
+        self.permission.write_file(path, &sheet.draw_views(pool)?.encode_png()?)
+    }
+}
+
+fn print_summary(report: &pb::Report, written: &WrittenFiles, millis: f64) {
+    for w in &report.warnings {
+        eprintln!("warning {}: {}", w.code, w.message);
+    }
+    let edit = report
+        .steps
+        .first()
+        .and_then(|step| step.edit.clone())
+        .unwrap_or_default();
+    for w in &edit.warnings {
+        eprintln!("warning {}: {}", w.code, w.message);
+    }
+    let told = edit.wrap.unwrap_or_default();
+    let percent = |d: Option<pb::wrap_report::Distances>| {
+        let d = d.unwrap_or_default();
+        format!("{:.3} / {:.3} / {:.2} %", 100.0 * d.p50, 100.0 * d.p95, 100.0 * d.max)
+    };
+    eprintln!(
+        "to the target {}, from it {} of its diagonal (p50 / p95 / max)",
+        percent(told.to_target),
+        percent(told.from_target)
+    );
+    if told.landmarks.is_some_and(|d| d.max > 0.0) {
+        eprintln!("landmarks {}", percent(told.landmarks));
+    }
+    eprintln!(
+        "{} of {} vertices not pulled, {} triangles flipped, edges uneven by {:.1} %, {} pairs of triangles cross ({} before); \
+         {millis:.0} ms in all",
+        grouped_count(told.unpulled_vertices.into()),
+        grouped_count(told.vertices.into()),
+        grouped_count(told.flipped_triangles.into()),
+        100.0 * told.edge_distortion,
+        grouped_count(told.crossings),
+        grouped_count(told.crossings_before),
+    );
+    if !written.followed.is_none() {
+        eprintln!("followed: {}", written.followed);
+    }
+    eprintln!("{} -> {}", report.digest, report.output.join(", "));
+}

@@ -1,0 +1,276 @@
+//! The fit itself: targets that follow the closest points, pulled harder from level to level.
+
+use super::WrapTask;
+use super::place::smooth_normals;
+use super::queries::answers;
+use super::target::TargetSurface;
+use super::two_way::pulls_from_target;
+use crate::deform::{
+    BodyOptions, DeformableBody, HandleConstraint, HandleSetup, HandleSystem, HoldTargets, PoseRequest, Quality,
+    SolveState, Transform, VolumeMode,
+};
+use crate::engine::error::Error;
+use crate::exec::Exec;
+use crate::mesh::Mesh;
+use crate::mesh::query::TriangleBvh;
+use glam::DVec3;
+
+/// What a share of 1/10000 of the template's area is pulled with, level by level.
+pub(super) const LEVELS: [f64; 5] = [0.02, 0.1, 0.4, 1.5, 5.0];
+const SHARES: f64 = 10_000.0;
+/// Steps of a level: each finds closest points anew.
+pub(super) const STEPS: usize = 4;
+/// What a landmark is pulled with before the first level, at it, and at the last one.
+const LANDMARKS_ALONE: f64 = 20.0;
+const LANDMARKS_FIRST: f64 = 20.0;
+const LANDMARKS_LAST: f64 = 2.0;
+/// A closest point counts within this share of the diagonal, at the first step and at the last.
+const FARTHEST: [f64; 2] = [0.15, 0.01];
+/// And where the normals are less than 60° apart.
+const LEAST_COSINE: f64 = 0.5;
+/// What a mean of pulls from the target weighs beside the vertex's own.
+const FROM_TARGET: f64 = 0.8;
+/// The first level at which the target pulls too.
+const TWO_WAY_FROM: usize = 1;
+
+const ALL: usize = 0;
+const LANDMARKS: usize = 1;
+
+/// Where a vertex is wanted, and how surely.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Wanted {
+    pub place: DVec3,
+    pub weight: f64,
+}
+
+/// A template under way to a target.
+pub(super) struct WrapFit<'a> {
+    task: &'a WrapTask<'a>,
+    target: &'a TargetSurface,
+    tree: TriangleBvh<'a>,
+    /// By vertex, whether the target pulls it.
+    pulled: &'a [bool],
+    /// The triangles of which a corner is pulled.
+    triangles: Vec<[u32; 3]>,
+    /// By vertex, its share of the area.
+    shares: Vec<f64>,
+    diagonal: f64,
+    solver: FitSolver,
+    pub now: Vec<DVec3>,
+}
+
+impl<'a> WrapFit<'a> {
+    /// Prepares a template where it is.
+    ///
+    /// # Errors
+    /// Those of building a body; [`Error::Cancelled`].
+    pub fn new(
+        task: &'a WrapTask<'a>,
+        target: &'a TargetSurface,
+        pulled: &'a [bool],
+        exec: &Exec<'_>,
+    ) -> Result<Self, Error> {
+        let mesh = task.template;
+        let mut triangles = mesh.triangles.clone();
+        triangles.retain(|t| t.iter().any(|v| pulled[*v as usize]));
+        Ok(Self {
+            task,
+            target,
+            tree: target.tree(exec),
+            pulled,
+            triangles,
+            shares: shares_of_area(mesh),
+            diagonal: mesh.bounds().diagonal(),
+            solver: FitSolver::new(mesh.clone(), task, exec)?,
+            now: mesh.positions.clone(),
+        })
+    }
+
+    /// Goes through all levels.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`], and those of solving.
+    pub fn run(&mut self, exec: &Exec<'_>) -> Result<(), Error> {
+        if !self.task.landmarks.is_empty() {
+            let none = vec![Wanted::default(); self.now.len()];
+            self.solve(&none, LANDMARKS_ALONE, exec)?;
+        }
+        let steps = LEVELS.len() * STEPS;
+        for step in 0..steps {
+            exec.check()?;
+            let along = step as f64 / (steps - 1) as f64;
+            exec.progress.report("wrap", along as f32);
+            let level = step / STEPS;
+            if dev().rerests && level > 0 && step % STEPS == 0 {
+                let mut mesh = self.task.template.clone();
+                mesh.positions.clone_from(&self.now);
+                self.solver = FitSolver::new(mesh, self.task, exec)?;
+            }
+            let within = self.diagonal * between(FARTHEST, along);
+            let mut wanted = self.closest_points(within, exec)?;
+            if level >= TWO_WAY_FROM && dev().two_way {
+                self.add_pulls_from_target(&mut wanted, within, exec)?;
+            }
+            for (vertex, wanted) in wanted.iter_mut().enumerate() {
+                wanted.weight *= LEVELS[level] * self.shares[vertex];
+            }
+            self.solve(&wanted, between([LANDMARKS_FIRST, LANDMARKS_LAST], along), exec)?;
+        }
+        Ok(())
+    }
+
+    /// Where the target is closest to each vertex.
+    fn closest_points(&self, within: f64, exec: &Exec<'_>) -> Result<Vec<Wanted>, Error> {
+        let normals = smooth_normals(&self.now, &self.task.template.triangles);
+        let of = |vertex: usize| {
+            if !self.pulled[vertex] {
+                return Wanted::default();
+            }
+            let Some(found) = self.target.closest(&self.tree, self.now[vertex], within) else {
+                return Wanted::default();
+            };
+            let cosine = normals[vertex].dot(found.normal);
+            let is_sure = cosine >= LEAST_COSINE && !found.on_border;
+            Wanted {
+                place: found.point,
+                weight: if is_sure { cosine } else { 0.0 },
+            }
+        };
+        answers(&self.tree, self.now.len(), exec, of)
+    }
+
+    fn add_pulls_from_target(&self, wanted: &mut [Wanted], within: f64, exec: &Exec<'_>) -> Result<(), Error> {
+        let pulls = pulls_from_target(self.target, &self.now, &self.triangles, within, exec)?;
+        for (vertex, pull) in pulls.into_iter().filter(|(v, _)| self.pulled[*v as usize]) {
+            let own = &mut wanted[vertex as usize];
+            let weight = own.weight + FROM_TARGET;
+            own.place = (own.place * own.weight + pull * FROM_TARGET) / weight;
+            own.weight = weight.min(1.0);
+        }
+        Ok(())
+    }
+
+    fn solve(&mut self, wanted: &[Wanted], landmarks: f64, exec: &Exec<'_>) -> Result<(), Error> {
+        let anchors = self.anchors(landmarks);
+        self.now = self.solver.solve(wanted, &anchors, exec)?;
+        Ok(())
+    }
+
+    /// Where the corners that landmarks are between are wanted: moved as their landmark has to.
+    fn anchors(&self, stiffness: f64) -> Vec<Wanted> {
+        let nodes = &self.solver.anchored;
+        let mut sums = vec![Wanted::default(); nodes.len()];
+        for landmark in self.task.landmarks {
+            let at: DVec3 = (landmark.own.iter()).map(|(v, w)| self.now[*v as usize] * *w).sum();
+            for &(vertex, share) in landmark.own.iter().filter(|c| c.1 > 0.0) {
+                let Ok(k) = nodes.binary_search(&vertex) else {
+                    continue;
+                };
+                let weight = share * stiffness;
+                sums[k].place += (self.now[vertex as usize] + landmark.target - at) * weight;
+                sums[k].weight += weight;
+            }
+        }
+        for sum in &mut sums {
+            sum.place /= f64::max(sum.weight, f64::MIN_POSITIVE);
+        }
+        sums
+    }
+}
+
+/// From one number to another, in equal ratios.
+fn between([from, to]: [f64; 2], along: f64) -> f64 {
+    from * libm::pow(to / from, along)
+}
+
+/// By vertex: its area, in shares of the whole.
+fn shares_of_area(mesh: &Mesh) -> Vec<f64> {
+    let mut shares = vec![0.0; mesh.positions.len()];
+    let mut all = 0.0;
+    for triangle in &mesh.triangles {
+        let [a, b, c] = triangle.map(|v| mesh.positions[v as usize]);
+        let area = (b - a).cross(c - a).length();
+        all += area;
+        triangle.iter().for_each(|v| shares[*v as usize] += area / 3.0);
+    }
+    let scale = if all > 0.0 { SHARES / all } else { 0.0 };
+    shares.iter_mut().for_each(|share| *share *= scale);
+    shares
+}
+
+/// The body in the shape whose edges are kept, with a pull on every vertex and on the corners of landmarks.
+struct FitSolver {
+    body: DeformableBody,
+    handles: HandleSystem,
+    state: SolveState,
+    anchored: Vec<u32>,
+}
+
+impl FitSolver {
+    fn new(rest: Mesh, task: &WrapTask<'_>, exec: &Exec<'_>) -> Result<Self, Error> {
+        let options = BodyOptions {
+            volume: if dev().solid { VolumeMode::Auto } else { VolumeMode::Off },
+            ..task.body.clone()
+        };
+        let body = DeformableBody::build(&rest, &options, exec)?;
+        let corners = task.landmarks.iter().flat_map(|l| l.own).filter(|c| c.1 > 0.0);
+        let anchored = crate::mesh::sorted_set(corners.map(|c| c.0));
+        let pulling = |nodes: Vec<u32>| HandleConstraint {
+            pulls: nodes.iter().map(|n| (*n, 1.0)).collect(),
+            nodes,
+            stiffness: Some(1.0),
+            position: true,
+            ..HandleConstraint::default()
+        };
+        let setup = HandleSetup {
+            handles: vec![
+                pulling((0..rest.positions.len() as u32).collect()),
+                pulling(anchored.clone()),
+            ],
+            ..HandleSetup::default()
+        };
+        let handles = HandleSystem::build(&body, setup, exec)?;
+        Ok(Self {
+            body,
+            handles,
+            state: SolveState::default(),
+            anchored,
+        })
+    }
+
+    fn solve(&mut self, wanted: &[Wanted], anchors: &[Wanted], exec: &Exec<'_>) -> Result<Vec<DVec3>, Error> {
+        let targets = |hold: usize, all: &[Wanted]| HoldTargets {
+            hold,
+            places: all.iter().map(|w| w.place).collect(),
+            weights: all.iter().map(|w| w.weight).collect(),
+        };
+        let targets = [targets(ALL, wanted), targets(LANDMARKS, anchors)];
+        self.handles.set_targets(&self.body, &targets, &mut self.state, exec)?;
+        let transforms = [Transform::IDENTITY; 2];
+        let quality = Quality {
+            refine: Some(4),
+            keeps_volume: false,
+            ..Quality::DEFAULT
+        };
+        let request = PoseRequest::new(&transforms, quality);
+        let solved = (self.handles).solve(&self.body, &request, &mut self.state, exec, &mut |_| true)?;
+        self.state.release_start();
+        let mut positions = solved.positions;
+        positions.truncate(wanted.len());
+        Ok(positions)
+    }
+}
+
+struct Dev {
+    rerests: bool,
+    two_way: bool,
+    solid: bool,
+}
+fn dev() -> Dev {
+    let has = |n: &str| std::env::var(n).is_ok();
+    Dev {
+        rerests: has("W_REREST"),
+        two_way: !has("W_ONE"),
+        solid: has("W_SOLID"),
+    }
+}

@@ -1,0 +1,107 @@
+//! From the surface of an edit to a wrap and back: vertices of files become points of surfaces.
+
+use super::command::{LandmarkPlace, WrapCommand};
+use super::target::barycentric;
+use super::told::WrapReport;
+use super::{LandmarkPair, WrapTask, wrap};
+use crate::deform::BodyOptions;
+use crate::edit::SurfaceView;
+use crate::engine::error::Error;
+use crate::exec::Exec;
+use crate::mesh::query::TriangleBvh;
+use crate::mesh::{Mesh, NONE, signed_volume};
+use glam::DVec3;
+
+/// A surface that is to be wrapped.
+pub(in crate::engine) struct SurfaceWrapping<'a> {
+    /// The surface as it is.
+    pub surface: SurfaceView<'a>,
+    /// By render vertex, whether the target does not pull it; empty where it pulls all.
+    pub masked: &'a [bool],
+    /// What it is wrapped onto.
+    pub target: Mesh,
+    /// How bodies are built.
+    pub body: &'a BodyOptions,
+    /// What is asked for.
+    pub command: &'a WrapCommand,
+}
+
+impl SurfaceWrapping<'_> {
+    /// Wraps: answers where the points go, and how well they lie.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for landmarks that are not there, and those of a wrap.
+    pub fn wrap(self, exec: &Exec<'_>) -> Result<(Vec<(u32, DVec3)>, WrapReport), Error> {
+        let SurfaceView {
+            positions,
+            triangles,
+            point_of,
+            points,
+            ..
+        } = self.surface;
+        let unfit = |e: crate::mesh::Error| Error::Precondition(format!("the model cannot be wrapped: {e}"));
+        let mut template = Mesh::of_points(positions, triangles, point_of.to_vec(), points as usize).map_err(unfit)?;
+        if signed_volume(&template.positions, &template.triangles) < 0.0 {
+            // Turned inside out, as some files are.
+            template.triangles.iter_mut().for_each(|t| t.swap(1, 2));
+        }
+        let mut masked = vec![false; points as usize];
+        for (&point, is_masked) in point_of.iter().zip(self.masked).filter(|(p, _)| **p != NONE) {
+            masked[point as usize] |= is_masked;
+        }
+        let landmarks = self.landmarks(&template, exec)?;
+        let task = WrapTask {
+            template: &template,
+            masked: &masked,
+            landmarks: &landmarks,
+            body: self.body,
+            in_place: self.command.in_place,
+        };
+        let (now, report) = wrap(&task, self.target, exec)?;
+        if let Some(point) = now.iter().position(|p| !p.as_vec3().is_finite()) {
+            return Err(Error::Precondition(format!(
+                "point {point} leaves the range of numbers"
+            )));
+        }
+        Ok(((0u32..).zip(now).collect(), report))
+    }
+
+    fn landmarks(&self, template: &Mesh, exec: &Exec<'_>) -> Result<Vec<LandmarkPair>, Error> {
+        let target = &self.target;
+        let trees = [template, target].map(|mesh| TriangleBvh::build(&mesh.positions, &mesh.triangles, exec.pool));
+        let on = |k: usize, place: LandmarkPlace| match place {
+            LandmarkPlace::Vertex(vertex) => {
+                let of = [self.surface.point_of, &target.solver_from_render][k];
+                let point = of.get(vertex as usize).copied().filter(|p| *p != NONE);
+                point.map(|p| [(p, 1.0), (p, 0.0), (p, 0.0)]).ok_or_else(|| {
+                    format!(
+                        "is {vertex}, which no triangle uses; there are {} vertices, counted from 0",
+                        of.len()
+                    )
+                })
+            }
+            LandmarkPlace::Point(place) => {
+                let mesh = [template, target][k];
+                let found = trees[k].closest_point(place).ok_or("finds no surface")?;
+                let corners = mesh.triangles[found.triangle as usize];
+                let weights = barycentric(found.point, corners.map(|v| mesh.positions[v as usize]));
+                Ok([0, 1, 2].map(|c| (corners[c], weights[c])))
+            }
+        };
+        let each = self.command.landmarks.iter().enumerate().map(|(k, landmark)| {
+            let unfit = |side: &str, place: LandmarkPlace, problem: String| {
+                let what = match place {
+                    LandmarkPlace::Vertex(_) => "Vertex",
+                    LandmarkPlace::Point(_) => "Point",
+                };
+                Error::invalid(format!("wrap.landmarks[{k}].{side}{what}"), problem)
+            };
+            exec.check()?;
+            let own = on(0, landmark.own).map_err(|e| unfit("own", landmark.own, e))?;
+            let there = on(1, landmark.target).map_err(|e| unfit("target", landmark.target, e))?;
+            let target = there.iter().map(|(v, w)| target.positions[*v as usize] * *w).sum();
+            Ok(LandmarkPair { own, target })
+        });
+        each.collect()
+    }
+}
