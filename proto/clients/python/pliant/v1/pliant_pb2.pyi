@@ -24,7 +24,7 @@ class Companion(_message.Message):
     def __init__(self, uri: _Optional[str] = ...) -> None: ...
 
 class CreateOptions(_message.Message):
-    __slots__ = ("format", "volume_graph", "components", "weights", "label", "ttl", "weld", "operators", "morph_targets", "rig", "bone_lengths", "rigid_chains", "parts", "tie_distance", "keep_apart", "passengers")
+    __slots__ = ("format", "volume_graph", "components", "weights", "label", "ttl", "weld", "operators", "morph_targets", "rig", "bone_lengths", "rigid_chains", "parts", "tie_distance", "keep_apart", "passengers", "large_splats", "cage_triangles")
     class Components(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         FOLLOW: _ClassVar[CreateOptions.Components]
@@ -121,6 +121,15 @@ class CreateOptions(_message.Message):
         FOLLOW: CreateOptions.BoneLengths.Rule
         KEEP: CreateOptions.BoneLengths.Rule
         def __init__(self) -> None: ...
+    class LargeSplats(_message.Message):
+        __slots__ = ()
+        class Rule(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+            __slots__ = ()
+            DIVIDE: _ClassVar[CreateOptions.LargeSplats.Rule]
+            KEEP: _ClassVar[CreateOptions.LargeSplats.Rule]
+        DIVIDE: CreateOptions.LargeSplats.Rule
+        KEEP: CreateOptions.LargeSplats.Rule
+        def __init__(self) -> None: ...
     FORMAT_FIELD_NUMBER: _ClassVar[int]
     VOLUME_GRAPH_FIELD_NUMBER: _ClassVar[int]
     COMPONENTS_FIELD_NUMBER: _ClassVar[int]
@@ -137,6 +146,8 @@ class CreateOptions(_message.Message):
     TIE_DISTANCE_FIELD_NUMBER: _ClassVar[int]
     KEEP_APART_FIELD_NUMBER: _ClassVar[int]
     PASSENGERS_FIELD_NUMBER: _ClassVar[int]
+    LARGE_SPLATS_FIELD_NUMBER: _ClassVar[int]
+    CAGE_TRIANGLES_FIELD_NUMBER: _ClassVar[int]
     format: str
     volume_graph: CreateOptions.VolumeGraph
     components: CreateOptions.Components
@@ -153,7 +164,9 @@ class CreateOptions(_message.Message):
     tie_distance: float
     keep_apart: CreateOptions.KeepApart
     passengers: _containers.RepeatedCompositeFieldContainer[Passenger]
-    def __init__(self, format: _Optional[str] = ..., volume_graph: _Optional[_Union[CreateOptions.VolumeGraph, _Mapping]] = ..., components: _Optional[_Union[CreateOptions.Components, str]] = ..., weights: _Optional[_Union[CreateOptions.Weights, str]] = ..., label: _Optional[str] = ..., ttl: _Optional[str] = ..., weld: _Optional[_Union[CreateOptions.Weld, _Mapping]] = ..., operators: _Optional[_Union[CreateOptions.Operators, str]] = ..., morph_targets: _Optional[_Union[CreateOptions.MorphTargets.Rule, str]] = ..., rig: _Optional[_Union[CreateOptions.Rig.Rule, str]] = ..., bone_lengths: _Optional[_Union[CreateOptions.BoneLengths.Rule, str]] = ..., rigid_chains: _Optional[_Iterable[str]] = ..., parts: _Optional[_Union[CreateOptions.Parts, str]] = ..., tie_distance: _Optional[float] = ..., keep_apart: _Optional[_Union[CreateOptions.KeepApart, _Mapping]] = ..., passengers: _Optional[_Iterable[_Union[Passenger, _Mapping]]] = ...) -> None: ...
+    large_splats: CreateOptions.LargeSplats.Rule
+    cage_triangles: int
+    def __init__(self, format: _Optional[str] = ..., volume_graph: _Optional[_Union[CreateOptions.VolumeGraph, _Mapping]] = ..., components: _Optional[_Union[CreateOptions.Components, str]] = ..., weights: _Optional[_Union[CreateOptions.Weights, str]] = ..., label: _Optional[str] = ..., ttl: _Optional[str] = ..., weld: _Optional[_Union[CreateOptions.Weld, _Mapping]] = ..., operators: _Optional[_Union[CreateOptions.Operators, str]] = ..., morph_targets: _Optional[_Union[CreateOptions.MorphTargets.Rule, str]] = ..., rig: _Optional[_Union[CreateOptions.Rig.Rule, str]] = ..., bone_lengths: _Optional[_Union[CreateOptions.BoneLengths.Rule, str]] = ..., rigid_chains: _Optional[_Iterable[str]] = ..., parts: _Optional[_Union[CreateOptions.Parts, str]] = ..., tie_distance: _Optional[float] = ..., keep_apart: _Optional[_Union[CreateOptions.KeepApart, _Mapping]] = ..., passengers: _Optional[_Iterable[_Union[Passenger, _Mapping]]] = ..., large_splats: _Optional[_Union[CreateOptions.LargeSplats.Rule, str]] = ..., cage_triangles: _Optional[int] = ...) -> None: ...
 
 class Passenger(_message.Message):
     __slots__ = ("name", "primitive", "primitives_named", "points", "file", "node", "nodes_named")
@@ -728,7 +741,7 @@ class Output(_message.Message):
     def __init__(self, normals: bool = ..., tangents: bool = ..., changed_only: _Optional[float] = ..., encoding: _Optional[_Union[Frame.Encoding, str]] = ..., self_intersections: bool = ...) -> None: ...
 
 class Options(_message.Message):
-    __slots__ = ("tolerance", "max_error", "budget_ms", "progressive", "refine", "first_pass", "method", "rotation_smoothing", "output", "window", "volume")
+    __slots__ = ("tolerance", "max_error", "budget_ms", "progressive", "refine", "first_pass", "method", "rotation_smoothing", "output", "window", "volume", "fit")
     class FirstPass(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         HARMONIC: _ClassVar[Options.FirstPass]
@@ -749,6 +762,12 @@ class Options(_message.Message):
         FREE: _ClassVar[Options.Volume]
     KEEP: Options.Volume
     FREE: Options.Volume
+    class Fit(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        CONTINUED: _ClassVar[Options.Fit]
+        COARSE_FIRST: _ClassVar[Options.Fit]
+    CONTINUED: Options.Fit
+    COARSE_FIRST: Options.Fit
     TOLERANCE_FIELD_NUMBER: _ClassVar[int]
     MAX_ERROR_FIELD_NUMBER: _ClassVar[int]
     BUDGET_MS_FIELD_NUMBER: _ClassVar[int]
@@ -760,6 +779,7 @@ class Options(_message.Message):
     OUTPUT_FIELD_NUMBER: _ClassVar[int]
     WINDOW_FIELD_NUMBER: _ClassVar[int]
     VOLUME_FIELD_NUMBER: _ClassVar[int]
+    FIT_FIELD_NUMBER: _ClassVar[int]
     tolerance: float
     max_error: float
     budget_ms: float
@@ -771,7 +791,8 @@ class Options(_message.Message):
     output: Output
     window: int
     volume: Options.Volume
-    def __init__(self, tolerance: _Optional[float] = ..., max_error: _Optional[float] = ..., budget_ms: _Optional[float] = ..., progressive: bool = ..., refine: _Optional[int] = ..., first_pass: _Optional[_Union[Options.FirstPass, str]] = ..., method: _Optional[_Union[Options.Method, str]] = ..., rotation_smoothing: _Optional[float] = ..., output: _Optional[_Union[Output, _Mapping]] = ..., window: _Optional[int] = ..., volume: _Optional[_Union[Options.Volume, str]] = ...) -> None: ...
+    fit: Options.Fit
+    def __init__(self, tolerance: _Optional[float] = ..., max_error: _Optional[float] = ..., budget_ms: _Optional[float] = ..., progressive: bool = ..., refine: _Optional[int] = ..., first_pass: _Optional[_Union[Options.FirstPass, str]] = ..., method: _Optional[_Union[Options.Method, str]] = ..., rotation_smoothing: _Optional[float] = ..., output: _Optional[_Union[Output, _Mapping]] = ..., window: _Optional[int] = ..., volume: _Optional[_Union[Options.Volume, str]] = ..., fit: _Optional[_Union[Options.Fit, str]] = ...) -> None: ...
 
 class Ack(_message.Message):
     __slots__ = ("seq",)
@@ -1014,7 +1035,7 @@ class SolveRequest(_message.Message):
     def __init__(self, session_id: _Optional[str] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., options: _Optional[_Union[Options, _Mapping]] = ...) -> None: ...
 
 class EditRequest(_message.Message):
-    __slots__ = ("session_id", "on", "cut", "subdivide", "decimate", "delete", "fill", "remesh", "merge", "insert_curve", "weld", "smooth", "clean")
+    __slots__ = ("session_id", "on", "cut", "subdivide", "decimate", "delete", "fill", "remesh", "merge", "insert_curve", "weld", "smooth", "clean", "adopt", "wrap")
     class Cap(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         CONTINUED: _ClassVar[EditRequest.Cap]
@@ -1180,6 +1201,45 @@ class EditRequest(_message.Message):
         smallest_size: float
         duplicates_within: float
         def __init__(self, keep_largest: _Optional[int] = ..., smallest_share: _Optional[float] = ..., smallest_size: _Optional[float] = ..., duplicates_within: _Optional[float] = ...) -> None: ...
+    class Adopt(_message.Message):
+        __slots__ = ("positions", "first", "more")
+        POSITIONS_FIELD_NUMBER: _ClassVar[int]
+        FIRST_FIELD_NUMBER: _ClassVar[int]
+        MORE_FIELD_NUMBER: _ClassVar[int]
+        positions: bytes
+        first: int
+        more: bool
+        def __init__(self, positions: _Optional[bytes] = ..., first: _Optional[int] = ..., more: bool = ...) -> None: ...
+    class Wrap(_message.Message):
+        __slots__ = ("model", "session", "file", "format", "landmarks", "mask", "in_place")
+        class Landmark(_message.Message):
+            __slots__ = ("name", "own_vertex", "own_point", "target_vertex", "target_point")
+            NAME_FIELD_NUMBER: _ClassVar[int]
+            OWN_VERTEX_FIELD_NUMBER: _ClassVar[int]
+            OWN_POINT_FIELD_NUMBER: _ClassVar[int]
+            TARGET_VERTEX_FIELD_NUMBER: _ClassVar[int]
+            TARGET_POINT_FIELD_NUMBER: _ClassVar[int]
+            name: str
+            own_vertex: int
+            own_point: _containers.RepeatedScalarFieldContainer[float]
+            target_vertex: int
+            target_point: _containers.RepeatedScalarFieldContainer[float]
+            def __init__(self, name: _Optional[str] = ..., own_vertex: _Optional[int] = ..., own_point: _Optional[_Iterable[float]] = ..., target_vertex: _Optional[int] = ..., target_point: _Optional[_Iterable[float]] = ...) -> None: ...
+        MODEL_FIELD_NUMBER: _ClassVar[int]
+        SESSION_FIELD_NUMBER: _ClassVar[int]
+        FILE_FIELD_NUMBER: _ClassVar[int]
+        FORMAT_FIELD_NUMBER: _ClassVar[int]
+        LANDMARKS_FIELD_NUMBER: _ClassVar[int]
+        MASK_FIELD_NUMBER: _ClassVar[int]
+        IN_PLACE_FIELD_NUMBER: _ClassVar[int]
+        model: bytes
+        session: str
+        file: str
+        format: str
+        landmarks: _containers.RepeatedCompositeFieldContainer[EditRequest.Wrap.Landmark]
+        mask: Region
+        in_place: bool
+        def __init__(self, model: _Optional[bytes] = ..., session: _Optional[str] = ..., file: _Optional[str] = ..., format: _Optional[str] = ..., landmarks: _Optional[_Iterable[_Union[EditRequest.Wrap.Landmark, _Mapping]]] = ..., mask: _Optional[_Union[Region, _Mapping]] = ..., in_place: bool = ...) -> None: ...
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     ON_FIELD_NUMBER: _ClassVar[int]
     CUT_FIELD_NUMBER: _ClassVar[int]
@@ -1193,6 +1253,8 @@ class EditRequest(_message.Message):
     WELD_FIELD_NUMBER: _ClassVar[int]
     SMOOTH_FIELD_NUMBER: _ClassVar[int]
     CLEAN_FIELD_NUMBER: _ClassVar[int]
+    ADOPT_FIELD_NUMBER: _ClassVar[int]
+    WRAP_FIELD_NUMBER: _ClassVar[int]
     session_id: str
     on: EditRequest.On
     cut: EditRequest.Cut
@@ -1206,10 +1268,43 @@ class EditRequest(_message.Message):
     weld: EditRequest.Weld
     smooth: EditRequest.Smooth
     clean: EditRequest.Clean
-    def __init__(self, session_id: _Optional[str] = ..., on: _Optional[_Union[EditRequest.On, str]] = ..., cut: _Optional[_Union[EditRequest.Cut, _Mapping]] = ..., subdivide: _Optional[_Union[EditRequest.Subdivide, _Mapping]] = ..., decimate: _Optional[_Union[EditRequest.Decimate, _Mapping]] = ..., delete: _Optional[_Union[EditRequest.Delete, _Mapping]] = ..., fill: _Optional[_Union[EditRequest.Fill, _Mapping]] = ..., remesh: _Optional[_Union[EditRequest.Remesh, _Mapping]] = ..., merge: _Optional[_Union[EditRequest.Merge, _Mapping]] = ..., insert_curve: _Optional[_Union[EditRequest.InsertCurve, _Mapping]] = ..., weld: _Optional[_Union[EditRequest.Weld, _Mapping]] = ..., smooth: _Optional[_Union[EditRequest.Smooth, _Mapping]] = ..., clean: _Optional[_Union[EditRequest.Clean, _Mapping]] = ...) -> None: ...
+    adopt: EditRequest.Adopt
+    wrap: EditRequest.Wrap
+    def __init__(self, session_id: _Optional[str] = ..., on: _Optional[_Union[EditRequest.On, str]] = ..., cut: _Optional[_Union[EditRequest.Cut, _Mapping]] = ..., subdivide: _Optional[_Union[EditRequest.Subdivide, _Mapping]] = ..., decimate: _Optional[_Union[EditRequest.Decimate, _Mapping]] = ..., delete: _Optional[_Union[EditRequest.Delete, _Mapping]] = ..., fill: _Optional[_Union[EditRequest.Fill, _Mapping]] = ..., remesh: _Optional[_Union[EditRequest.Remesh, _Mapping]] = ..., merge: _Optional[_Union[EditRequest.Merge, _Mapping]] = ..., insert_curve: _Optional[_Union[EditRequest.InsertCurve, _Mapping]] = ..., weld: _Optional[_Union[EditRequest.Weld, _Mapping]] = ..., smooth: _Optional[_Union[EditRequest.Smooth, _Mapping]] = ..., clean: _Optional[_Union[EditRequest.Clean, _Mapping]] = ..., adopt: _Optional[_Union[EditRequest.Adopt, _Mapping]] = ..., wrap: _Optional[_Union[EditRequest.Wrap, _Mapping]] = ...) -> None: ...
+
+class WrapReport(_message.Message):
+    __slots__ = ("to_target", "from_target", "landmarks", "vertices", "unpulled_vertices", "flipped_triangles", "edge_distortion", "crossings_before", "crossings")
+    class Distances(_message.Message):
+        __slots__ = ("p50", "p95", "max")
+        P50_FIELD_NUMBER: _ClassVar[int]
+        P95_FIELD_NUMBER: _ClassVar[int]
+        MAX_FIELD_NUMBER: _ClassVar[int]
+        p50: float
+        p95: float
+        max: float
+        def __init__(self, p50: _Optional[float] = ..., p95: _Optional[float] = ..., max: _Optional[float] = ...) -> None: ...
+    TO_TARGET_FIELD_NUMBER: _ClassVar[int]
+    FROM_TARGET_FIELD_NUMBER: _ClassVar[int]
+    LANDMARKS_FIELD_NUMBER: _ClassVar[int]
+    VERTICES_FIELD_NUMBER: _ClassVar[int]
+    UNPULLED_VERTICES_FIELD_NUMBER: _ClassVar[int]
+    FLIPPED_TRIANGLES_FIELD_NUMBER: _ClassVar[int]
+    EDGE_DISTORTION_FIELD_NUMBER: _ClassVar[int]
+    CROSSINGS_BEFORE_FIELD_NUMBER: _ClassVar[int]
+    CROSSINGS_FIELD_NUMBER: _ClassVar[int]
+    to_target: WrapReport.Distances
+    from_target: WrapReport.Distances
+    landmarks: WrapReport.Distances
+    vertices: int
+    unpulled_vertices: int
+    flipped_triangles: int
+    edge_distortion: float
+    crossings_before: int
+    crossings: int
+    def __init__(self, to_target: _Optional[_Union[WrapReport.Distances, _Mapping]] = ..., from_target: _Optional[_Union[WrapReport.Distances, _Mapping]] = ..., landmarks: _Optional[_Union[WrapReport.Distances, _Mapping]] = ..., vertices: _Optional[int] = ..., unpulled_vertices: _Optional[int] = ..., flipped_triangles: _Optional[int] = ..., edge_distortion: _Optional[float] = ..., crossings_before: _Optional[int] = ..., crossings: _Optional[int] = ...) -> None: ...
 
 class EditResult(_message.Message):
-    __slots__ = ("revision", "before", "after", "handles_kept", "warnings", "ms", "kept", "curve", "digest", "repaired", "deviation", "volume_change", "creases")
+    __slots__ = ("revision", "before", "after", "handles_kept", "warnings", "ms", "kept", "curve", "digest", "repaired", "deviation", "volume_change", "creases", "wrap")
     class Counts(_message.Message):
         __slots__ = ("vertices", "faces")
         VERTICES_FIELD_NUMBER: _ClassVar[int]
@@ -1246,6 +1341,7 @@ class EditResult(_message.Message):
     DEVIATION_FIELD_NUMBER: _ClassVar[int]
     VOLUME_CHANGE_FIELD_NUMBER: _ClassVar[int]
     CREASES_FIELD_NUMBER: _ClassVar[int]
+    WRAP_FIELD_NUMBER: _ClassVar[int]
     revision: int
     before: EditResult.Counts
     after: EditResult.Counts
@@ -1259,7 +1355,8 @@ class EditResult(_message.Message):
     deviation: float
     volume_change: float
     creases: _containers.RepeatedScalarFieldContainer[int]
-    def __init__(self, revision: _Optional[int] = ..., before: _Optional[_Union[EditResult.Counts, _Mapping]] = ..., after: _Optional[_Union[EditResult.Counts, _Mapping]] = ..., handles_kept: _Optional[_Iterable[str]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., ms: _Optional[_Mapping[str, float]] = ..., kept: _Optional[_Iterable[_Union[EditResult.Run, _Mapping]]] = ..., curve: _Optional[_Iterable[int]] = ..., digest: _Optional[str] = ..., repaired: bool = ..., deviation: _Optional[float] = ..., volume_change: _Optional[float] = ..., creases: _Optional[_Iterable[int]] = ...) -> None: ...
+    wrap: WrapReport
+    def __init__(self, revision: _Optional[int] = ..., before: _Optional[_Union[EditResult.Counts, _Mapping]] = ..., after: _Optional[_Union[EditResult.Counts, _Mapping]] = ..., handles_kept: _Optional[_Iterable[str]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., ms: _Optional[_Mapping[str, float]] = ..., kept: _Optional[_Iterable[_Union[EditResult.Run, _Mapping]]] = ..., curve: _Optional[_Iterable[int]] = ..., digest: _Optional[str] = ..., repaired: bool = ..., deviation: _Optional[float] = ..., volume_change: _Optional[float] = ..., creases: _Optional[_Iterable[int]] = ..., wrap: _Optional[_Union[WrapReport, _Mapping]] = ...) -> None: ...
 
 class Commit(_message.Message):
     __slots__ = ("revision", "kind", "digest")
