@@ -29,6 +29,9 @@ class Client(Face):
     def __init__(self, server: str | LocalServer | None = None, **way: Any) -> None:
         self._core = _Core(server, **way)
 
+    def __repr__(self) -> str:
+        return f"<pliant.Client of {self.url}>"
+
     @property
     def url(self) -> str:
         """The server's address."""
@@ -63,7 +66,7 @@ def open(
     progress: ProgressLike = False,
     **create: Unpack[CreateFields],
 ) -> Session:
-    """Opens a model: a path, the bytes of a file, an open file, ``(vertices, faces)``, or a mesh with these attributes.
+    """Opens a model: a path, the bytes of a file, an open file, ``(vertices, faces)``, a mesh with these attributes, or a trimesh scene.
 
     `companions` are files that the model refers to, by URI; those of a .gltf, buffers and images, are found beside it. The session is
     deleted when it is closed, unless `keep` is given. Its label is the file's name, unless `label` says another. `progress` is True for

@@ -42,7 +42,19 @@ class MeshLike(Protocol):
         """(faces, 3 or 4) indices."""
 
 
-Model: TypeAlias = Union[str, "os.PathLike[str]", bytes, BinaryIO, "tuple[npt.ArrayLike, npt.ArrayLike]", MeshLike]
+@runtime_checkable
+class SceneLike(Protocol):
+    """Several meshes with their places and materials, such as a scene of trimesh."""
+
+    @property
+    def geometry(self) -> Any:
+        """The meshes."""
+
+    def export(self, *, file_type: str) -> Any:
+        """The bytes of a file."""
+
+
+Model: TypeAlias = Union[str, "os.PathLike[str]", bytes, BinaryIO, "tuple[npt.ArrayLike, npt.ArrayLike]", MeshLike, SceneLike]
 
 
 @dataclass
@@ -83,7 +95,7 @@ def read(model: Model, companions: Mapping[str, bytes] | None = None) -> Upload:
     if isinstance(model, (str, os.PathLike)):
         path = Path(model)
         upload = Upload(path.read_bytes(), format=path.suffix.lstrip(".").lower(), label=_label(path.name))
-        if upload.format not in ("glb", "vrm", "gltf", "obj", "ply", "off", "stl", "3mf", "fbx"):
+        if upload.format not in ("glb", "vrm", "gltf", "obj", "ply", "off", "stl", "3mf", "fbx", "splat", "spz"):
             upload.format = ""
         if companions is None:
             upload.companions = _beside(path, upload.main)
@@ -95,12 +107,14 @@ def read(model: Model, companions: Mapping[str, bytes] | None = None) -> Upload:
         upload = Upload(ply(*model), format="ply")
     elif isinstance(model, MeshLike):
         upload = Upload(ply(model.vertices, model.faces), format="ply")
+    elif isinstance(model, SceneLike):
+        upload = Upload(bytes(model.export(file_type="glb")), format="glb")
     elif callable(getattr(model, "read", None)):
         upload = Upload(_content(model.read()))
     else:
         raise TypeError(
             f"model: {seen(model)}; a path, the bytes of a file, a file open for reading, (vertices, faces), "
-            "or a mesh with these attributes is allowed"
+            "a mesh with these attributes, or a trimesh scene is allowed"
         )
     if companions is not None:
         upload.companions = dict(companions)

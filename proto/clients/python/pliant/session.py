@@ -36,6 +36,8 @@ class Session(Face, Declared):
     stream = blocking(aio.Session.stream, Stream)
     animate = plain(aio.Session.animate, Animation)
     positions = blocking(aio.Session.positions)
+    triangles = blocking(aio.Session.triangles)
+    to_trimesh = blocking(aio.Session.to_trimesh)
     export = blocking(aio.Session.export)
     export_bytes = blocking(aio.Session.export_bytes)
     _preview_bytes = blocking(aio.Session._preview_bytes)

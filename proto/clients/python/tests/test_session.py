@@ -74,6 +74,24 @@ def test_points_and_models_ride_along(held: pliant.Session) -> None:
             held.carry(wrong)
 
 
+def test_a_mesh_and_a_scene_of_trimesh_go_in_and_come_out(server: pliant.LocalServer) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    with pliant.open(ball, server=server) as session:
+        assert np.array_equal(session.triangles(), ball.faces)
+        session.handle("all", half_space=((0, 0, 1), -9))
+        session.solve({"all": {"translation": (1, 0, 0)}})
+        moved = session.to_trimesh()
+        assert np.abs(moved.vertices - ball.vertices - [1, 0, 0]).max() < 1e-6 and np.array_equal(moved.faces, ball.faces)
+    scene = trimesh.Scene([ball, trimesh.creation.box().apply_translation([3, 0, 0])])
+    with pliant.open(scene, server=server) as session:
+        assert len(session.info.primitives) == 2
+        both = session.to_trimesh()
+        assert np.allclose(both.bounds, scene.bounds) and len(both.faces) == len(session.triangles()) == len(ball.faces) + 12
+    with pliant.connect(server) as client:
+        assert repr(client) == f"<pliant.Client of {client.url}>"
+
+
 def test_a_lattice_and_a_curve_lead_a_model(creature: Path, server: pliant.LocalServer) -> None:
     with pliant.open(creature, server=server) as session:
         rest = session.positions()

@@ -46,6 +46,9 @@ class Client:
         self._settings, owned = settings(server, **way)
         self._calls = Calls(self._settings, owned, self._transport)
 
+    def __repr__(self) -> str:
+        return f"<pliant.aio.Client of {self.url}>"
+
     @property
     def url(self) -> str:
         """The server's address."""

@@ -9,9 +9,10 @@ from types import TracebackType
 from typing import Any, Literal, Union
 
 import numpy as np
+import numpy.typing as npt
 from typing_extensions import Unpack
 
-from .. import edits, errors, frames, model
+from .. import edits, errors, frames, model, preview
 from ..animation import AnimateFields, Playing, Rig, order, recording
 from ..books import Books, Commit, Traffic, commits
 from ..carried import Carried, carried, model_request, points_request
@@ -152,6 +153,19 @@ class Session(Declared):
         origin (`info.origin`), else float32."""
         values = np.frombuffer(await self._calls.get(f"/v1/sessions/{self.id}/positions"), "<f4")
         return in_model_space(values.reshape(-1, 3).astype(np.float32), self.info.origin)
+
+    async def triangles(self) -> npt.NDArray[np.int64]:
+        """The triangles, (triangles, 3) numbers of rows of :meth:`positions`. They stay the same until an edit."""
+        points, triangles = preview.triangles_of(await self._preview_bytes())
+        if len(points) != self.vertices:
+            raise errors.Internal(f"the triangles are of {len(points)} vertices, the session has {self.vertices}")
+        return triangles
+
+    async def to_trimesh(self) -> Any:
+        """The model in its current shape as a `trimesh.Trimesh`, whose vertices are the rows of :meth:`positions`. It needs trimesh."""
+        import trimesh
+
+        return trimesh.Trimesh(await self.positions(), await self.triangles(), process=False)
 
     async def export(self, path: str | Path, format: str = "", *, force: bool = False) -> list[Path]:
         """Writes the model in its current shape; the extension says the format. Answers the paths of the files, all
