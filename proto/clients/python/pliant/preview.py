@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import html
+import json
 import struct
 import zlib
 from typing import Any
@@ -29,8 +30,40 @@ _EMPTY = 255
 _Doubles = npt.NDArray[np.float64]
 
 
-def triangles_of(ply: bytes) -> tuple[_Doubles, npt.NDArray[np.int64]]:
-    """Vertices and triangles of a binary PLY as the server writes it: numbers of 4 or 8 bytes, then lists of corners."""
+def surface_format(opened: str) -> str:
+    """The format in which the server writes the triangles of such a model anew: a PLY would come back in its own form."""
+    return "glb" if opened == "ply" else "ply"
+
+
+def triangles_of(file: bytes) -> tuple[_Doubles, npt.NDArray[np.int64]]:
+    """Vertices and triangles of a binary PLY or a GLB as the server writes it anew."""
+    return _of_glb(file) if file[:4] == b"glTF" else _of_ply(file)
+
+
+def _of_glb(glb: bytes) -> tuple[_Doubles, npt.NDArray[np.int64]]:
+    """Of a GLB with tightly packed numbers in one buffer, and nodes that move their meshes at most."""
+    length = int.from_bytes(glb[12:16], "little")
+    document, binary = json.loads(glb[20 : 20 + length]), glb[28 + length :]
+
+    def read(accessor: int, width: int) -> npt.NDArray[Any]:
+        told = document["accessors"][accessor]
+        first = document["bufferViews"][told["bufferView"]].get("byteOffset", 0) + told.get("byteOffset", 0)
+        kind = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}[told["componentType"]]
+        return np.frombuffer(binary, kind, told["count"] * width, first)
+
+    places = {node["mesh"]: node.get("translation", [0, 0, 0]) for node in document.get("nodes", []) if "mesh" in node}
+    points, triangles, rows = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
+    for number, mesh in enumerate(document["meshes"]):
+        for primitive in mesh["primitives"]:
+            own = read(primitive["attributes"]["POSITION"], 3).reshape(-1, 3)
+            triangles.append(read(primitive["indices"], 1).reshape(-1, 3).astype(np.int64) + rows)
+            points.append(own.astype(np.float64) + np.asarray(places.get(number, [0, 0, 0]), np.float64))
+            rows += len(own)
+    return np.concatenate(points), np.concatenate(triangles)
+
+
+def _of_ply(ply: bytes) -> tuple[_Doubles, npt.NDArray[np.int64]]:
+    """Of a binary PLY: numbers of 4 or 8 bytes, then lists of corners."""
     head, _, body = ply.partition(b"end_header\n")
     widths = {"float": "<f4", "float32": "<f4", "double": "<f8", "float64": "<f8", "uchar": "u1", "uint8": "u1", "uint": "<u4"}
     columns: list[tuple[str, str]] = []

@@ -74,6 +74,17 @@ def test_points_and_models_ride_along(held: pliant.Session) -> None:
             held.carry(wrong)
 
 
+def test_triangles_of_a_ply_of_any_form_are_found(server: pliant.LocalServer) -> None:
+    head = "ply\nformat ascii 1.0\nelement vertex 5\nproperty double x\nproperty double y\nproperty double z\n"
+    text = f"{head}element face 2\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n.5 .5 1\n4 0 1 2 3\n3 0 1 4\n"
+    with pliant.open(text.encode(), server=server) as session:
+        triangles, points = session.triangles(), session.positions()
+        corners = points[triangles].astype(float)
+        areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+        assert triangles.shape == (3, 3) and np.isclose(areas[:2].sum(), 1.0)
+        assert session.preview().startswith(b"\x89PNG")
+
+
 def test_a_mesh_and_a_scene_of_trimesh_go_in_and_come_out(server: pliant.LocalServer) -> None:
     trimesh = pytest.importorskip("trimesh")
     ball = trimesh.creation.icosphere(subdivisions=2)

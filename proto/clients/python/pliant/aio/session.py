@@ -189,8 +189,8 @@ class Session(Declared):
         return model.joined(chunks)
 
     async def _preview_bytes(self) -> bytes:
-        """The model in its current shape as a PLY for a picture, which shows no more than that."""
-        return model.joined(await self._exported("ply"))[""]
+        """The surface in its current shape, as `preview.triangles_of` reads it."""
+        return model.joined(await self._exported(preview.surface_format(self.info.model.format)))[""]
 
     async def _exported(self, format: str) -> list[pb.Chunk]:
         request = pb.ExportRequest(session_id=self.id, format=format)
