@@ -14,5 +14,6 @@ export { regionFrom, regionOf, type PlainRegion, type Point, type RegionKinds, t
 export { nearestRotationVector, quaternionOf, turnsOf, type Quaternion, type Vector } from "./rotation.js";
 export { Session, type Carried, type Edit, type Format, type Handle, type HandleField, type PoseEntry, type RigOrder, type SetHandles, type SolveOptions, type Solved } from "./session.js";
 export { Stream, type StreamEvents, type StreamState, type StreamTotals } from "./stream.js";
+export type { Topology } from "./topology.js";
 export { Transport, type CallOptions, type Progress, type TransportOptions } from "./transport.js";
 export * as schema from "./gen/pliant/v1/pliant_pb.js";

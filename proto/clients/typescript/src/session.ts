@@ -22,12 +22,14 @@ import {
 } from "./gen/pliant/v1/pliant_pb.js";
 import type { AnimateOptions } from "./animation.js";
 import { Animation, formOf } from "./animation.js";
+import { PliantError } from "./errors.js";
 import { originOf } from "./frames.js";
 import { checkPoses } from "./poses.js";
 import { type RegionLike, regionFrom } from "./regions.js";
 import type { Vector } from "./rotation.js";
 import type { StreamEvents } from "./stream.js";
 import { Stream } from "./stream.js";
+import { type Topology, readTopology, topologyFormat } from "./topology.js";
 import type { CallOptions, Transport } from "./transport.js";
 import { jsonOf } from "./transport.js";
 
@@ -215,6 +217,15 @@ export class Session {
   async positions(call: CallOptions = {}): Promise<Float32Array<ArrayBuffer>> {
     const read = (response: Response) => response.arrayBuffer();
     return new Float32Array(await this.transport.read("GET", this.path("/positions"), "application/octet-stream", call, read));
+  }
+
+  /** The triangles, which stay the same until an edit, with the current `positions`, and normals where the model has them. */
+  async topology(call: CallOptions = {}): Promise<Topology> {
+    const { format, vertices = 0 } = this.facts.model ?? {};
+    const topology = readTopology(await (await this.model(topologyFormat(format), call)).arrayBuffer(), this.origin);
+    const seen = topology.positions.length / 3;
+    if (seen !== vertices) throw new PliantError("INTERNAL", `the server reports ${vertices} vertices but sent ${seen}`);
+    return topology;
   }
 
   /** The model in its current shape. Without a format: the one it came in. */

@@ -2,7 +2,6 @@ import { Client } from "pliant-client";
 import * as three from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { TransformControls } from "three/addons/controls/TransformControls.js";
-import { PLYLoader } from "three/addons/loaders/PLYLoader.js";
 
 const [canvas, status] = ["canvas", "p"].map((name) => document.querySelector(name));
 const server = new URLSearchParams(location.search).get("server") ?? "http://127.0.0.1:7411";
@@ -19,10 +18,12 @@ await session.setHandles({
   ],
 });
 
-// A PLY has the vertices in the order of frames, and the triangles. Frames go straight into its vertex buffer.
-const geometry = new PLYLoader().parse(await (await session.model("ply")).arrayBuffer());
-const position = new three.BufferAttribute(await session.positions(), 3).setUsage(three.DynamicDrawUsage);
+// Frames go straight into the vertex buffer.
+const { positions, indices } = await session.topology();
+const geometry = new three.BufferGeometry();
+const position = new three.BufferAttribute(positions, 3).setUsage(three.DynamicDrawUsage);
 geometry.setAttribute("position", position);
+geometry.setIndex(new three.BufferAttribute(indices, 1));
 geometry.computeVertexNormals();
 geometry.computeBoundingSphere();
 const { center, radius } = geometry.boundingSphere;

@@ -1,7 +1,6 @@
 import { Client } from "pliant-client";
 import * as three from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
-import { PLYLoader } from "three/addons/loaders/PLYLoader.js";
 
 const [canvas, slider, status] = ["canvas", "input", "output"].map((name) => document.querySelector(name));
 const server = new URLSearchParams(location.search).get("server") ?? "http://127.0.0.1:7411";
@@ -12,9 +11,12 @@ const fail = (error) => {
 };
 const session = await pliant.sample({ name: "figure" }).catch(fail); // or pliant.open(file) with a dropped or picked File
 
-// A PLY has the vertices in the order of frames, and the triangles. The page shows the first primitive.
-const geometry = new PLYLoader().parse(await (await session.model("ply")).arrayBuffer());
-geometry.setAttribute("position", new three.BufferAttribute(await session.positions(), 3));
+// The page shows the first primitive.
+const { positions, normals, indices } = await session.topology();
+const geometry = new three.BufferGeometry();
+geometry.setAttribute("position", new three.BufferAttribute(positions, 3));
+if (normals) geometry.setAttribute("normal", new three.BufferAttribute(normals, 3));
+geometry.setIndex(new three.BufferAttribute(indices, 1));
 geometry.setDrawRange(0, session.facts.primitives[0].indexCount);
 const position = geometry.getAttribute("position");
 geometry.computeBoundingSphere();

@@ -8,11 +8,11 @@ import {
   type Session,
   companionsOf,
   schema,
+  type Topology,
 } from "pliant-client";
 import { batch } from "@preact/signals";
 import type { HandleState } from "../model/handles.ts";
 import { type SurfaceReport, reportOf } from "../model/report.ts";
-import { type Topology, loadTopology } from "../model/topology.ts";
 import { Surface } from "../scene/surface.ts";
 import { startStream, stopStream } from "./dragging.ts";
 import { dress } from "./dressing.ts";
@@ -233,7 +233,7 @@ async function open(from: Source, restored?: readonly HandleState[], leaving: Le
 
 /** Fetches the triangles; refuses what cannot be drawn. */
 async function drawable(session: Session): Promise<Drawable> {
-  const topology = await loadTopology(session);
+  const topology = await session.topology();
   const report = reportOf(topology);
   const reach = Math.max(...[...report.box.min, ...report.box.max].map(Math.abs));
   if (reach > LARGEST_DRAWN) {

@@ -1,10 +1,9 @@
 /** What the page shows, as signals: the interface reads them, the actions of this folder write them. */
 
 import { computed, effect, signal } from "@preact/signals";
-import type { PliantError, Session, StreamState, Vector, schema } from "pliant-client";
+import type { PliantError, Session, StreamState, Topology, Vector, schema } from "pliant-client";
 import type { HandleState } from "../model/handles.ts";
 import type { SurfaceReport } from "../model/report.ts";
-import type { Topology } from "../model/topology.ts";
 import { forPeople } from "../model/words.ts";
 import { recall, store } from "./storage.ts";
 

@@ -4,7 +4,7 @@
  */
 
 import type { SurfaceReport } from "./report.ts";
-import type { Topology } from "./topology.ts";
+import type { Topology } from "pliant-client";
 
 /** For each render vertex the number of the group that shares a normal. */
 export interface Smoothing {

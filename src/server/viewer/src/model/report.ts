@@ -1,6 +1,6 @@
 /** Facts of a surface that the page finds itself: places, seams, parts, box. */
 
-import type { Topology } from "./topology.ts";
+import type { Topology } from "pliant-client";
 
 /** The surface as a user should know it, and what the tools need of it. */
 export interface SurfaceReport {

@@ -7,7 +7,7 @@ import * as THREE from "three";
 import { type Smoothing, smoothingOf, updateNormals } from "../model/normals.ts";
 import type { SurfaceReport } from "../model/report.ts";
 import { StretchMeter } from "../model/stretch.ts";
-import type { Topology } from "../model/topology.ts";
+import type { Topology } from "pliant-client";
 import type { Appearance } from "../model/gltf/appearance.ts";
 import { Clothes } from "./clothes.ts";
 import { BEHIND_WIRE, takePaint } from "./paint.ts";

@@ -5,7 +5,7 @@
  */
 
 import { placesOf } from "../report.ts";
-import type { Topology } from "../topology.ts";
+import type { Topology } from "pliant-client";
 import { readNumbers } from "./accessors.ts";
 import type { Canvas } from "./appearance.ts";
 import { type GltfFile, member } from "./file.ts";

@@ -1,13 +1,12 @@
 /**
- * Triangles of a session's model, in the order in which frames carry its vertices.
+ * The triangles of a session's model, with places and normals, in the order in which frames carry its vertices.
  *
- * The page does not read the seven formats that the server reads. It asks for the model in a format that the server
- * writes afresh: PLY, or GLB for models that came as PLY and would come back in their own form.
+ * It is read from a file that the server writes anew: a PLY, or a GLB of models that came as PLY and would come back in their own form.
  */
 
-import type { Session, Vector } from "pliant-client";
+import type { Vector } from "./rotation.js";
 
-/** The surface that is drawn. */
+/** Triangles, and the vertices that they join. */
 export interface Topology {
   /** x, y, z per render vertex, relative to the session's origin. */
   readonly positions: Float32Array<ArrayBuffer>;
@@ -17,24 +16,21 @@ export interface Topology {
   readonly indices: Uint32Array<ArrayBuffer>;
 }
 
-/** Asks the server for the surface as it is now. */
-export async function loadTopology(session: Session, signal?: AbortSignal): Promise<Topology> {
-  const format = session.facts.model?.format === "ply" ? "glb" : "ply";
-  const blob = await session.model(format, signal ? { signal } : {});
-  const bytes = await blob.arrayBuffer();
-  const topology = format === "ply" ? readPly(bytes, session.origin) : readGlb(bytes, session.origin);
-  const told = session.facts.model?.vertices ?? 0;
-  const seen = topology.positions.length / 3;
-  if (seen !== told) {
-    throw new Error(`the server reports ${told} vertices but sent ${seen}`);
-  }
-  return topology;
+/** The format in which the server writes the triangles of such a model anew. */
+export function topologyFormat(opened: string | undefined): "glb" | "ply" {
+  return opened === "ply" ? "glb" : "ply";
 }
 
+/** Reads such a file. */
+export function readTopology(bytes: ArrayBuffer, origin: Vector): Topology {
+  return new DataView(bytes).getUint32(0, true) === GLTF ? readGlb(bytes, origin) : readPly(bytes, origin);
+}
+
+const GLTF = 0x46546c67;
 const SIZES: Record<string, number> = { double: 8, float: 4, uint: 4, int: 4, ushort: 2, short: 2, uchar: 1, char: 1 };
 
 /** Reads the binary PLY that the server writes: scalar vertex properties, one index list per face. */
-export function readPly(bytes: ArrayBuffer, origin: Vector): Topology {
+function readPly(bytes: ArrayBuffer, origin: Vector): Topology {
   const head = new TextDecoder("latin1").decode(bytes.slice(0, 4096));
   const end = head.indexOf("end_header\n");
   if (!head.startsWith("ply\n") || end < 0 || !head.includes("format binary_little_endian")) {
@@ -99,9 +95,8 @@ interface Document {
 }
 
 /** Reads the GLB that the server writes afresh: tightly packed floats and indices in one buffer. */
-export function readGlb(bytes: ArrayBuffer, origin: Vector): Topology {
+function readGlb(bytes: ArrayBuffer, origin: Vector): Topology {
   const view = new DataView(bytes);
-  if (view.getUint32(0, true) !== 0x46546c67) throw new Error("the server did not send a GLB file");
   const jsonLength = view.getUint32(12, true);
   const document = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 20, jsonLength))) as Document;
   const binary = 20 + jsonLength + 8;
