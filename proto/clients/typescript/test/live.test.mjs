@@ -113,6 +113,25 @@ test("a model goes up, handles are put and taken, the bent model comes back", { 
   await session.close();
 });
 
+test("triangles have the vertices of frames, of a PLY of any form too, and a curve leads them", { skip }, async () => {
+  const head = "ply\nformat ascii 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\n";
+  const rows = "0 0 0\n1 0 0\n1 1 0\n0 1 0\n0.5 0.5 1\n4 0 1 2 3\n3 0 1 4\n";
+  const file = new Blob([`${head}element face 2\nproperty list uchar int vertex_indices\nend_header\n${rows}`]);
+  for (const session of [await client.open(file), await client.sample()]) {
+    const { positions, indices } = await session.topology();
+    assert.deepEqual(positions, await session.positions());
+    assert.equal(indices.length, 3 * session.facts.model.triangles);
+    assert.ok(indices.every((vertex) => 3 * vertex < positions.length));
+    const all = { halfSpace: { normal: [0, 0, 1], offset: -9 } };
+    const guide = { shape: { case: "curve", value: { points: [0, 0, 0, 1, 0, 0] } } };
+    await session.setHandles({ handles: [{ id: "led", region: all, stiffness: 1000, guide }] });
+    const { positions: led } = await session.solve([{ id: "led", pose: { guide: { positions: [0, 2, 0, 1, 2, 0] } } }]);
+    assert.ok(led.every((x, k) => Math.abs(x - positions[k] - (k % 3 === 1 ? 2 : 0)) < 1e-3), "it moved up with its curve");
+    await assert.rejects(session.solve([{ id: "led", pose: { guide: 5 } }]), /guide/);
+    await session.close();
+  }
+});
+
 test("fields of a handle are replaced and cleared one by one", { skip }, async () => {
   const session = await client.sample();
   await session.setHandles({ handles: [FEET, HEAD] });
