@@ -425,7 +425,7 @@ pub fn handle_patch(message: &pb::Handle, fields: &[String], current: &HandleSet
             patch.targets = Some(Some(StiffnessPer::Vertex));
         }
     }
-    let has_targets = matches!(patch.targets, Some(Some(_)));
+    let has_targets = patch.targets.unwrap_or(old.and_then(|old| old.targets)).is_some();
     if has_targets && (old.is_none() || named("constrains")) && new_constrains.is_empty() {
         patch.constrains = Some(POSITION_ALONE);
     }

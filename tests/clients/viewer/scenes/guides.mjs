@@ -50,8 +50,27 @@ export async function play({ browser, url, server, log }) {
   await sheet.key("Control+Shift+z");
   await sheet.until("it is bent again", ({ revision }) => revision === bent.revision);
   await sheet.page.reload();
+  await sheet.ready();
   const again = await sheet.until("it is back", ({ link, busy, points }) => link === "open" && !busy && points.length === 5);
   assert.deepEqual(again.points.map(({ at }) => at), bent.points.map(({ at }) => at), "a reload keeps the curve");
+
+  // Keys look along the axes; a number that was typed leaves them to the page.
+  const eye = async () => {
+    const { eye, target } = await sheet.ask("camera");
+    const away = eye.map((x, k) => x - target[k]);
+    return away.map((x) => Math.round((100 * x) / Math.hypot(...away)) / 100);
+  };
+  for (const [key, seen] of [["1", [0, 0, 1]], ["3", [1, 0, 0]], ["9", [-1, 0, 0]], ["7", [0, 1, 0]], ["1", [0, 0, 1]]]) {
+    await sheet.key(key);
+    assert.deepEqual((await eye()).map((x) => x + 0), seen, `key ${key}`);
+  }
+  await sheet.page.getByLabel("Stiffness", { exact: true }).click({ clickCount: 3 });
+  await sheet.page.keyboard.type("900\n");
+  // The handle, and the shape that follows.
+  const after = (count) => String(Number(bent.revision) + count);
+  await sheet.until("it is taken", ({ busy, revision }) => !busy && revision === after(2));
+  await sheet.page.keyboard.press("Control+z");
+  await sheet.until("the page undoes it", ({ busy, revision }) => !busy && revision === after(1));
 
   // A lattice in its place.
   await sheet.page.getByRole("button", { name: /^Remove Curve/ }).click();

@@ -174,6 +174,14 @@ export class Stage {
     this.request();
   }
 
+  /** Looks at the same place, from as far, along a direction: radians around the vertical axis from the front, and up. */
+  lookFrom(around: number, up: number): void {
+    const away = new THREE.Spherical(this.camera.position.distanceTo(this.orbit.target), Math.PI / 2 - up, around);
+    this.camera.position.setFromSpherical(away.makeSafe()).add(this.orbit.target);
+    this.orbit.update();
+    this.request();
+  }
+
   /** A point of model space in CSS pixels of the canvas; `undefined` behind the camera. */
   project(point: THREE.Vector3): { x: number; y: number } | undefined {
     this.camera.updateMatrixWorld();

@@ -96,6 +96,10 @@ export function NumberInput({ label, value, step = 0.1, min, max, digits = 3, di
       max={max}
       disabled={disabled}
       onChange={(event) => take(event.currentTarget)}
+      onKeyDown={(event) => {
+        // What was typed is taken, and the next key is the page's.
+        if (event.key === "Enter") event.currentTarget.blur();
+      }}
     />
   );
 }
