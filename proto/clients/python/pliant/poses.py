@@ -97,7 +97,7 @@ class Targets:
                 if self.first is not None and count is None:
                     raise ValueError("weights: one number beside first, which is allowed with positions or with a list of weights")
                 # Of all vertices of a handle one number is for each.
-                weights = np.full(1 if self.first is None else count, weights, "<f4")
+                weights = np.full(1 if self.first is None or count is None else count, weights, "<f4")
                 count = None
             if weights.ndim != 1 or count not in (None, len(weights)):
                 allowed = "(n,)" if count is None else f"({count},)"

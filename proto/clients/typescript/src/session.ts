@@ -192,8 +192,8 @@ export class Session {
   }
 
   /**
-   * Makes a shape the rest pose, from which poses go on: the current one, or x, y, z of each vertex (or of each that is no passenger's),
-   * relative to `origin` as frames are. They hold to the bit; rig, skins, morph targets and passengers follow. One commit, in parts
+   * Makes a shape the rest pose, from which poses go on: the current one, or x, y, z of each vertex (or of each but those of passengers),
+   * relative to `origin` as frames are. They hold bit for bit; rig, skins, morph targets and passengers follow. One commit, in parts
    * where it is large.
    */
   async adopt(positions?: Float32Array, on: "CURRENT" | "REST" = "CURRENT", call: CallOptions = {}): Promise<EditResult> {

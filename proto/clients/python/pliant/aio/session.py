@@ -251,7 +251,7 @@ class Session(Declared):
         self, positions: npt.ArrayLike | None = None, *, on: Literal["current", "rest"] = "current"
     ) -> edits.EditResult:
         """Makes a shape the rest pose, from which poses go on: the current one, or (n, 3) `positions` of all vertices or of those that
-        are no passenger's, in model space. They hold to the bit (of 32, relative to an origin where there is one); rig, skins,
+        are no passenger's, in model space. They hold bit for bit (32 bits, relative to an origin where there is one); rig, skins,
         morph targets and passengers follow. One commit, in parts where it is large.
         """
         requests = edits.adoptions(self.info, on, positions, self.vertices)
