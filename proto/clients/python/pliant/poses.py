@@ -227,3 +227,34 @@ def pose_message(by_handle: Mapping[str, pb.HandlePose], seq: int = 0) -> pb.Pos
     """One pose of a session."""
     listed = [pb.Pose.Entry(id=handle, pose=pose) for handle, pose in by_handle.items()]
     return pb.Pose(seq=seq, handles=listed)
+
+
+#: Vertices whose targets travel in one message at most: 1 MiB of places.
+PART = (1 << 20) // 12
+
+
+def commit_in_parts(request: pb.SolveRequest, key: str) -> list[pb.DeformRequest]:
+    """A pose to commit as messages of a stream, for targets that are larger than a message may be."""
+    messages = [pb.DeformRequest(session_id=request.session_id, options=request.options)]
+    last = pb.Pose(commit=True, idempotency_key=key)
+
+    def part(handle: str, targets: pb.VertexTargets) -> None:
+        entry = pb.Pose.Entry(id=handle, pose=pb.HandlePose(targets=targets))
+        messages.append(pb.DeformRequest(pose=pb.Pose(seq=len(messages), handles=[entry], more=True)))
+
+    for entry in request.pose.handles:
+        targets = entry.pose.targets
+        positions, weights = targets.positions, targets.weights
+        count = max(len(positions) // 12, len(weights) // 4)
+        if count <= PART:
+            last.handles.append(entry)
+            continue
+        if len(weights) == 4:
+            part(entry.id, pb.VertexTargets(weights=weights))
+            weights = b""
+        for at in range(0, count, PART):
+            end = at + PART
+            places, factors = positions[12 * at : 12 * end], weights[4 * at : 4 * end]
+            part(entry.id, pb.VertexTargets(positions=places, weights=factors, first=targets.first + at))
+    last.seq = len(messages)
+    return [*messages, pb.DeformRequest(pose=last)]

@@ -485,3 +485,23 @@ def test_a_given_shape_is_adopted_bit_for_bit_and_its_rig_follows(
         assert np.abs(again.positions() - given).max() < 1e-5
         joints = next(iter(again.animate(fps=10)))
         assert joints.positions.shape == given.shape, "its clips still play"
+
+
+def test_targets_larger_than_a_message_are_committed_in_parts(
+    server: pliant.LocalServer, creature: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pliant.open(creature, server=server) as session:
+        session.handle("scan", vertices=np.arange(session.vertices), stiffness=0.5, targets=True)
+        rest = session.positions()
+        places, weights = rest + 0.1 * np.sin(5 * rest[:, [1, 2, 0]]), np.linspace(0.1, 1.0, session.vertices)
+        for given in (pliant.Targets(places, weights), pliant.Targets(places[::-1], 0.5)):
+            whole = session.solve({"scan": given})
+            with monkeypatch.context() as small:
+                small.setattr(pliant.poses, "PART", 500)
+                small.setattr("pliant.aio.calls._LARGE", 1000)
+                assert np.array_equal(session.solve({"scan": given}), whole)
+                with pytest.raises(pliant.InvalidArgument, match=r"positions\[3\]: has y = NaN"):
+                    wrong = places.copy()
+                    wrong[3, 1] = np.nan
+                    session.solve({"scan": pliant.Targets(wrong, weights)})
+        assert [c.kind for c in session.history()] == ["create", "handles", "pose", "pose", "pose", "pose"]

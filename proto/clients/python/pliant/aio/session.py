@@ -76,7 +76,7 @@ class Session(Declared):
 
     async def _solve(self, poses: Any, how: pb.Options) -> SolvedFrame:
         request = self._books.solve_request(poses, how)
-        parts = await self._calls.many("Solve", request, keyed=True)
+        parts = await self._calls.commit(request)
         frame = frames.solved(frames.whole(parts, self.vertices, changed_only=how.output.HasField("changed_only")))
         self._books.committed(frame, request)
         return frame
