@@ -188,7 +188,7 @@ class Books:
 
 
 def as_entries(
-    poses: Poses | Mapping[str, pb.HandlePose] | None, origin: Sequence[float]
+    poses: Poses | Mapping[str, pb.HandlePose] | None, origin: Sequence[float] = ()
 ) -> dict[str, pb.HandlePose]:
     """Poses as messages, whichever form they have, for a session with such an origin."""
     return {} if poses is None else entries(poses, origin)

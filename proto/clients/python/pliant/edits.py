@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from base64 import b64decode
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -239,8 +240,9 @@ def adoptions(session: pb.Session, on: str, positions: npt.ArrayLike | None, ver
     parts = []
     for first in range(0, max(count, 1), PART):
         end = min(first + PART, count)
-        part = {"positions": data[12 * first : 12 * end], "first": first, "more": end < count}
-        parts.append(request(session.id, on, {"adopt": part}, vertices))
+        message = request(session.id, on, {"adopt": {"first": first, "more": end < count}}, vertices)
+        message.adopt.positions = data[12 * first : 12 * end]
+        parts.append(message)
     return parts
 
 
@@ -270,7 +272,8 @@ def _fill(name: str, operation: Any, given: dict[str, Any], count: int | None) -
                 raise ValueError(f"{key} of shape {points.shape}, (points, 3) is allowed, or x, y, z of each in a row")
             getattr(operation, key).extend(points.ravel().tolist())
         elif key == "positions":
-            operation.positions = value if isinstance(value, bytes) else float_points(key, value)
+            # Jobs have bytes as base64.
+            operation.positions = b64decode(value) if isinstance(value, str) else float_points(key, value)
         elif key in ("path", "creases"):
             getattr(operation, key).extend(indices(key, np.ravel(value)).tolist())
         elif key in ("model", "file") and name == "merge":
