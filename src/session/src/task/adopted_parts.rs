@@ -36,9 +36,9 @@ impl AdoptedParts {
     }
 
     /// The edit; `Err` with the parts where more are to come.
-    pub fn whole(self) -> Result<SessionEdit, Self> {
+    pub fn whole(self) -> Result<SessionEdit, Box<Self>> {
         match self.edit.is_part {
-            true => Err(self),
+            true => Err(Box::new(self)),
             false => Ok(self.edit),
         }
     }

@@ -455,7 +455,7 @@ impl RunCall for SessionEdit {
             Ok(edit) => Arc::new(edit),
             Err(parts) => {
                 reserve_more(task, parts.byte_size(), "keeping the parts of a shape")?;
-                task.adopted_parts = Some(parts);
+                task.adopted_parts = Some(*parts);
                 return Ok(pb::EditResult {
                     revision,
                     ..Default::default()
