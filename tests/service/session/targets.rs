@@ -143,10 +143,10 @@ async fn a_shape_in_parts_is_adopted_once_whole_and_undoes_and_reopens_to_the_bi
     let manager = manager_of(folder.path()).await;
     let fixture = scanned(&manager).await;
     let (rest, all) = (fixture.digest().await, leaning());
-    let edit = async |edit: SessionEdit| manager.edit(&tenant(), &fixture.id, edit, None).await;
-    let before = edit(adopted(&all[..30], 0, true)).await.expect("kept").revision;
+    let edit = async |edit: SessionEdit| manager.edit(tenant(), &fixture.id, edit, None).await;
+    edit(adopted(&all[..30], 0, true)).await.expect("kept");
     assert_eq!(fixture.digest().await, rest, "nothing changes before the last part");
-    let field = |refused: Result<pb::EditResult, Error>| refused.expect_err("refused").field;
+    let field = |refused: Result<pb::EditResult, pliant::session::Error>| refused.expect_err("refused").field;
     assert_eq!(
         field(edit(adopted(&all[31..], 31, false)).await).as_deref(),
         Some("adopt.first")
@@ -180,7 +180,6 @@ async fn a_shape_in_parts_is_adopted_once_whole_and_undoes_and_reopens_to_the_bi
     edit(adopted(&all[..30], 0, true)).await.expect("kept");
     edit(adopted(&all[30..40], 30, true)).await.expect("kept");
     let done = edit(adopted(&all[40..], 40, false)).await.expect("adopted");
-    assert_eq!(done.revision, before + 1);
     let whole = fixture.digest().await;
     assert_ne!(whole, rest);
     fixture.undo().await;

@@ -6,7 +6,7 @@ Nothing here talks to a server, so that the synchronous and the asyncio session 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -163,7 +163,7 @@ class Books:
 
     def solve_request(self, poses: Poses | Mapping[str, pb.HandlePose] | None, options: pb.Options) -> pb.SolveRequest:
         """One pose to solve and commit."""
-        return pb.SolveRequest(session_id=self.info.id, pose=pose_message(as_entries(poses)), options=options)
+        return pb.SolveRequest(session_id=self.info.id, pose=pose_message(as_entries(poses, self.info.origin)), options=options)
 
     def committed(self, frame: Frame, request: pb.SolveRequest) -> None:
         """A pose is recorded."""
@@ -187,9 +187,11 @@ class Books:
         self._now = self._there = _State()
 
 
-def as_entries(poses: Poses | Mapping[str, pb.HandlePose] | None) -> dict[str, pb.HandlePose]:
-    """Poses as messages, whichever form they have."""
-    return {} if poses is None else entries(poses)
+def as_entries(
+    poses: Poses | Mapping[str, pb.HandlePose] | None, origin: Sequence[float] = ()
+) -> dict[str, pb.HandlePose]:
+    """Poses as messages, whichever form they have, for a session with such an origin."""
+    return {} if poses is None else entries(poses, origin)
 
 
 class Traffic:
@@ -199,8 +201,9 @@ class Traffic:
     commit anything twice. Opening the stream again therefore repeats the newest unanswered pose and nothing else.
     """
 
-    def __init__(self, session_id: str, vertices: int, options: pb.Options) -> None:
-        self._session_id = session_id
+    def __init__(self, session: pb.Session, vertices: int, options: pb.Options) -> None:
+        self._session_id = session.id
+        self._origin = tuple(session.origin)
         self._options = options
         self._assembler = Assembler(vertices, changed_only=options.output.HasField("changed_only"))
         self._repeat = False
@@ -244,7 +247,7 @@ class Traffic:
 
     def pose(self, poses: Poses, more: bool = False) -> pb.DeformRequest:
         """The next pose, or a part of it."""
-        named = as_entries(poses)
+        named = as_entries(poses, self._origin)
         self.seq += 1
         self._pending[self.seq] = named
         said, self._repeat = (self.poses if self._repeat else named), False
@@ -255,7 +258,7 @@ class Traffic:
     def absorb(self, poses: Poses | None) -> dict[str, pb.HandlePose]:
         """Where handles are with `poses`, which travel another way. The next pose on the stream repeats them."""
         self._settle(self.seq)
-        lay_on(self._settled, as_entries(poses))
+        lay_on(self._settled, as_entries(poses, self._origin))
         self._repeat = True
         return self.poses
 

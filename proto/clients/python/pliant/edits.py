@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from base64 import b64decode
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing_extensions import TypedDict
 
 from .poses import Vector
 from .regions import RegionLike, enum, indices, no_such_setting, plane, region
-from .values import about, array, mapping, put, snake_case
+from .values import about, array, float_points, mapping, put, snake_case
 from .v1 import pliant_pb2 as pb
 
 
@@ -151,6 +152,17 @@ class Clean(TypedDict, total=False):
     duplicates_within: float
 
 
+class Adopt(TypedDict, total=False):
+    """Makes a shape the rest pose: the current one, or the one that positions give. ``Session.adopt`` sends large ones in parts."""
+
+    #: (n, 3), relative to ``info.origin``; absent: the shape as it is.
+    positions: npt.ArrayLike
+    #: Of a shape in parts: how many vertices the parts before have.
+    first: int
+    #: More parts follow.
+    more: bool
+
+
 class EditFields(TypedDict, total=False):
     """One operation; exactly one key is given."""
 
@@ -165,6 +177,7 @@ class EditFields(TypedDict, total=False):
     insert_curve: InsertCurve
     weld: Weld
     clean: Clean
+    adopt: Adopt
 
 
 @dataclass(frozen=True)
@@ -213,6 +226,26 @@ def request(session_id: str, on: str, fields: Mapping[str, Any], count: int | No
     return message
 
 
+#: Vertices of a shape that travel in one message at most: 1 MiB.
+PART = (1 << 20) // 12
+
+
+def adoptions(session: pb.Session, on: str, positions: npt.ArrayLike | None, vertices: int) -> list[pb.EditRequest]:
+    """The edits that make a shape the rest pose: one, or one for each part of it."""
+    if positions is None:
+        return [request(session.id, on, {"adopt": {}}, vertices)]
+    with about("adopt"):
+        data = float_points("positions", positions, session.origin)
+    count = len(data) // 12
+    parts = []
+    for first in range(0, max(count, 1), PART):
+        end = min(first + PART, count)
+        message = request(session.id, on, {"adopt": {"first": first, "more": end < count}}, vertices)
+        message.adopt.positions = data[12 * first : 12 * end]
+        parts.append(message)
+    return parts
+
+
 def _fill(name: str, operation: Any, given: dict[str, Any], count: int | None) -> None:
     given = {snake_case(key): value for key, value in given.items()}
     if name == "cut" and ("normal" in given or "offset" in given):
@@ -238,6 +271,9 @@ def _fill(name: str, operation: Any, given: dict[str, Any], count: int | None) -
             if not in_a_row and (points.ndim != 2 or points.shape[1] != 3):
                 raise ValueError(f"{key} of shape {points.shape}, (points, 3) is allowed, or x, y, z of each in a row")
             getattr(operation, key).extend(points.ravel().tolist())
+        elif key == "positions":
+            # Jobs have bytes as base64.
+            operation.positions = b64decode(value) if isinstance(value, str) else float_points(key, value)
         elif key in ("path", "creases"):
             getattr(operation, key).extend(indices(key, np.ravel(value)).tolist())
         elif key in ("model", "file") and name == "merge":

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from typing_extensions import TypedDict
 
 from .guides import GuidePose
-from .values import about, array, mapping, seen, snake_case, text
+from .values import about, array, float_points, mapping, seen, snake_case, text
 from .v1 import pliant_pb2 as pb
 
 Vector: TypeAlias = Union[Sequence[float], "npt.NDArray[Any]"]
@@ -77,28 +77,29 @@ class Pose:
 class Targets:
     """Where the vertices of a handle with targets are wanted; it stands where a pose does. What is None stays as before."""
 
-    #: n by 3, in the order of the model's vertices.
+    #: n by 3, in model space, in the order of the model's vertices; 64-bit numbers far from the origin.
     positions: npt.ArrayLike | None = None
     #: n factors of the stiffness, 0 or more; one number is for all.
     weights: npt.ArrayLike | None = None
     #: The first vertex of the handle that these are of; None: they are of all.
     first: int | None = None
 
-    def to_message(self) -> pb.HandlePose:
-        """The targets as the schema carries them."""
+    def to_message(self, origin: Sequence[float] = ()) -> pb.HandlePose:
+        """The targets as the schema carries them, for a session with such an origin."""
         message = pb.HandlePose()
         message.targets.SetInParent()
         count = None
         if self.positions is not None:
-            positions = array("positions", self.positions).astype("<f4")
-            if positions.ndim != 2 or positions.shape[1] != 3:
-                raise ValueError(f"positions: an array of shape {positions.shape}, (n, 3) is allowed")
-            message.targets.positions = positions.tobytes()
-            count = len(positions)
+            message.targets.positions = float_points("positions", self.positions, origin)
+            count = len(message.targets.positions) // 12
         if self.weights is not None:
             weights = array("weights", self.weights).astype("<f4")
-            if weights.ndim == 0 and count is not None:
-                weights = np.full(count, weights, "<f4")
+            if weights.ndim == 0:
+                if self.first is not None and count is None:
+                    raise ValueError("weights: one number beside first, which is allowed with positions or with a list of weights")
+                # Of all vertices of a handle one number is for each.
+                weights = np.full(1 if self.first is None or count is None else count, weights, "<f4")
+                count = None
             if weights.ndim != 1 or count not in (None, len(weights)):
                 allowed = "(n,)" if count is None else f"({count},)"
                 raise ValueError(f"weights: an array of shape {weights.shape}, {allowed} is allowed")
@@ -137,11 +138,13 @@ def numbers(what: str, value: Any, allowed: tuple[int, ...]) -> list[float]:
     return [float(number) for number in found]
 
 
-def to_message(pose: PoseLike) -> pb.HandlePose:
-    """A pose as the schema carries it; None is rest."""
+def to_message(pose: PoseLike, origin: Sequence[float] = ()) -> pb.HandlePose:
+    """A pose as the schema carries it, for a session with such an origin; None is rest."""
     if pose is None:
         return pb.HandlePose()
-    if isinstance(pose, (Targets, GuidePose)):
+    if isinstance(pose, Targets):
+        return pose.to_message(origin)
+    if isinstance(pose, GuidePose):
         return pose.to_message()
     if isinstance(pose, np.ndarray):
         pose = Pose.from_matrix(pose)
@@ -169,13 +172,13 @@ def to_message(pose: PoseLike) -> pb.HandlePose:
 _LENGTHS = {"translation": (3,), "rotation": (4,), "rotation_vector": (3,), "scale": (1, 3), "pivot": (3,)}
 
 
-def entries(poses: Poses | Mapping[str, pb.HandlePose]) -> dict[str, pb.HandlePose]:
+def entries(poses: Poses | Mapping[str, pb.HandlePose], origin: Sequence[float] = ()) -> dict[str, pb.HandlePose]:
     """The poses of several handles as messages."""
     found = {}
     for handle, pose in mapping("poses", poses, "a dict from handle ids to poses").items():
         text("poses", handle, "a handle's id, which is text,")
         with about(f"pose of {handle!r}"):
-            found[handle] = pose if isinstance(pose, pb.HandlePose) else to_message(pose)
+            found[handle] = pose if isinstance(pose, pb.HandlePose) else to_message(pose, origin)
     return found
 
 
@@ -195,8 +198,9 @@ def lay_on(poses: dict[str, pb.HandlePose], newer: Mapping[str, pb.HandlePose]) 
         for name, size in (("positions", 12), ("weights", 4)):
             old, new = getattr(before.targets, name), getattr(pose.targets, name)
             at = size * pose.targets.first
-            if is_part and not old and name == "weights":
-                old = np.ones(len(before.targets.positions) // 12, "<f4").tobytes()
+            if is_part and name == "weights" and len(old) <= 4:
+                one = old or np.ones(1, "<f4").tobytes()
+                old = one * (len(before.targets.positions) // 12)
             if not new:
                 setattr(whole.targets, name, old)
             elif is_part and old:
@@ -226,3 +230,34 @@ def pose_message(by_handle: Mapping[str, pb.HandlePose], seq: int = 0) -> pb.Pos
     """One pose of a session."""
     listed = [pb.Pose.Entry(id=handle, pose=pose) for handle, pose in by_handle.items()]
     return pb.Pose(seq=seq, handles=listed)
+
+
+#: Vertices whose targets travel in one message at most: 1 MiB of places.
+PART = (1 << 20) // 12
+
+
+def commit_in_parts(request: pb.SolveRequest, key: str) -> list[pb.DeformRequest]:
+    """A pose to commit as messages of a stream, for targets that are larger than a message may be."""
+    messages = [pb.DeformRequest(session_id=request.session_id, options=request.options)]
+    last = pb.Pose(commit=True, idempotency_key=key)
+
+    def part(handle: str, targets: pb.VertexTargets) -> None:
+        entry = pb.Pose.Entry(id=handle, pose=pb.HandlePose(targets=targets))
+        messages.append(pb.DeformRequest(pose=pb.Pose(seq=len(messages), handles=[entry], more=True)))
+
+    for entry in request.pose.handles:
+        targets = entry.pose.targets
+        positions, weights = targets.positions, targets.weights
+        count = max(len(positions) // 12, len(weights) // 4)
+        if count <= PART:
+            last.handles.append(entry)
+            continue
+        if len(weights) == 4:
+            part(entry.id, pb.VertexTargets(weights=weights))
+            weights = b""
+        for at in range(0, count, PART):
+            end = at + PART
+            places, factors = positions[12 * at : 12 * end], weights[4 * at : 4 * end]
+            part(entry.id, pb.VertexTargets(positions=places, weights=factors, first=targets.first + at))
+    last.seq = len(messages)
+    return [*messages, pb.DeformRequest(pose=last)]

@@ -46,6 +46,7 @@ class Session(Face, Declared):
     crossings = blocking(aio.Session.crossings)
     make_rig = blocking(aio.Session.make_rig)
     edit = blocking(aio.Session.edit)
+    adopt = blocking(aio.Session.adopt)
     undo = blocking(aio.Session.undo)
     redo = blocking(aio.Session.redo)
     history = blocking(aio.Session.history)

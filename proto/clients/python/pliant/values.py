@@ -7,7 +7,7 @@ numbers, the imaginary part into nothing) is refused here, and what they refuse 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -94,3 +94,13 @@ def put(message: Any, name: str, value: Any) -> None:
 
 # By FieldDescriptor.CPPTYPE_*: UINT32, DOUBLE, BOOL, STRING.
 _KINDS: dict[int, Any] = {3: whole, 5: number, 7: flag, 9: text}
+
+
+def float_points(name: str, value: Any, origin: Sequence[float] = ()) -> bytes:
+    """Points, (n, 3), as the schema carries them: little-endian 32-bit floats, relative to a session's origin where it has one."""
+    points = array(name, value)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"{name}: an array of shape {points.shape}, (n, 3) is allowed")
+    if len(origin) == 3:
+        points = points.astype(np.float64) - np.array(origin)
+    return points.astype("<f4").tobytes()

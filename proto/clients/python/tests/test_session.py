@@ -510,3 +510,48 @@ def test_progress_needs_no_package(
     pliant.open(creature, server=server, progress=True).close()
     drawn = capsys.readouterr().err
     assert "\rupload: 100 %" in drawn and drawn.endswith("\r") and "\n" not in drawn, "on one, a line that goes away"
+
+
+def test_a_given_shape_is_adopted_bit_for_bit_and_its_rig_follows(
+    server: pliant.LocalServer, figure: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pliant.edits, "PART", 1000)
+    with pliant.open(figure, server=server) as session:
+        before = session.positions()
+        given = (before * np.array([1.1, 1.05, 0.9]) + np.array([0.0, 0.2, 0.0])).astype(np.float32)
+        assert len(given) > 1000, "in parts"
+        done = session.adopt(given)
+        assert done.before == done.after and [c.kind for c in session.history()] == ["create", "edit"]
+        assert np.array_equal(session.positions().view(np.uint32), given.view(np.uint32))
+        model = session.export_bytes("glb")[""]
+        session.undo()
+        assert np.array_equal(session.positions(), before)
+        session.redo()
+        assert np.array_equal(session.positions(), given)
+        with pytest.raises(pliant.InvalidArgument, match="adopt.positions"):
+            session.adopt(given[1:])
+        assert [w.code for w in session.adopt().warnings] == ["adopt-nothing"]
+    with pliant.open(model, server=server, format="glb") as again:
+        assert np.abs(again.positions() - given).max() < 1e-5
+        joints = next(iter(again.animate(fps=10)))
+        assert joints.positions.shape == given.shape, "its clips still play"
+
+
+def test_targets_larger_than_a_message_are_committed_in_parts(
+    server: pliant.LocalServer, creature: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pliant.open(creature, server=server) as session:
+        session.handle("scan", vertices=np.arange(session.vertices), stiffness=0.5, targets=True)
+        rest = session.positions()
+        places, weights = rest + 0.1 * np.sin(5 * rest[:, [1, 2, 0]]), np.linspace(0.1, 1.0, session.vertices)
+        for given in (pliant.Targets(places, weights), pliant.Targets(places[::-1], 0.5)):
+            whole = session.solve({"scan": given})
+            with monkeypatch.context() as small:
+                small.setattr(pliant.poses, "PART", 500)
+                small.setattr("pliant.aio.calls._LARGE", 1000)
+                assert np.array_equal(session.solve({"scan": given}), whole)
+                with pytest.raises(pliant.InvalidArgument, match=r"positions\[3\]: has y = NaN"):
+                    wrong = places.copy()
+                    wrong[3, 1] = np.nan
+                    session.solve({"scan": pliant.Targets(wrong, weights)})
+        assert [c.kind for c in session.history()] == ["create", "handles", "pose", "pose", "pose", "pose"]

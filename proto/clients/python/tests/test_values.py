@@ -256,6 +256,7 @@ EDITS = [
     ({"insert_curve": {"points": [(0, 0, 0), (1, 2, 3)]}}, {"insertCurve": {"points": [0, 0, 0, 1, 2, 3]}}),
     ({"weld": {"tolerance": 0.1}}, {"weld": {"tolerance": 0.1}}),
     ({"clean": {"keep_largest": 1}}, {"clean": {"keepLargest": 1}}),
+    ({"adopt": {"positions": [(0, 1, 2)]}}, {"adopt": {"positions": "AAAAAAAAgD8AAABA"}}),
 ]
 
 
@@ -438,3 +439,15 @@ def test_targets_are_laid_on_those_that_a_handle_has() -> None:
         entries({"scan": pliant.Targets([[1, 2]])})
     with pytest.raises(ValueError, match="weights"):
         entries({"scan": pliant.Targets(np.zeros((3, 3)), [1, 2])})
+
+
+def test_one_weight_is_for_all_and_targets_are_relative_to_the_origin() -> None:
+    held = entries({"scan": pliant.Targets(np.zeros((3, 3)), 0.5)})
+    lay_on(held, entries({"scan": pliant.Targets(np.ones((1, 3)), [2.0], first=1)}))
+    assert np.frombuffer(held["scan"].targets.weights, "<f4").tolist() == [0.5, 2.0, 0.5]
+    alone = entries({"scan": pliant.Targets(weights=0.5)})["scan"].targets
+    assert (np.frombuffer(alone.weights, "<f4").tolist(), alone.positions) == ([0.5], b"")
+    with pytest.raises(ValueError, match="beside first"):
+        entries({"scan": pliant.Targets(weights=0.5, first=1)})
+    far = entries({"scan": pliant.Targets([[5e6 + 0.123, 1.0, 2.0]])}, [5e6, 0.0, 0.0])["scan"].targets
+    assert np.allclose(np.frombuffer(far.positions, "<f4"), [0.123, 1.0, 2.0], atol=1e-6)

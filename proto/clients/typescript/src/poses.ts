@@ -16,14 +16,15 @@ const COUNTS: Readonly<Record<string, readonly number[]>> = {
 };
 
 /**
- * The pose of a handle with targets: where its vertices are wanted, x, y, z of each in the order of the model's vertices, and factors of
- * the stiffness. What is not given stays as before. With `first` they are of the vertices from that one of the handle on.
+ * The pose of a handle with targets: where its vertices are wanted, x, y, z of each in the order of the model's vertices, relative to
+ * the session's `origin` as frames are, and factors of the stiffness, one for all or one for each. What is not given stays as before. With `first` they are of the vertices from that one of the handle on.
  */
 export function targets(positions?: Float32Array, weights?: Float32Array, first?: number): VertexTargetsPose {
   if (positions !== undefined && positions.length % 3 !== 0) {
     throw new PliantError("INVALID_ARGUMENT", `targets: ${positions.length} numbers, 3 for each vertex are allowed`);
   }
-  if (positions !== undefined && weights !== undefined && 3 * weights.length !== positions.length) {
+  const forAll = weights?.length === 1 && first === undefined;
+  if (positions !== undefined && weights !== undefined && !forAll && 3 * weights.length !== positions.length) {
     throw new PliantError("INVALID_ARGUMENT", `targets: ${weights.length} weights, one for each of ${positions.length / 3} vertices is allowed`);
   }
   return { targets: { positions: littleEndian(positions), weights: littleEndian(weights), first } };
@@ -34,7 +35,8 @@ export interface VertexTargetsPose {
   targets: { positions: Uint8Array<ArrayBuffer>; weights: Uint8Array<ArrayBuffer>; first: number | undefined };
 }
 
-function littleEndian(numbers: Float32Array = new Float32Array()): Uint8Array<ArrayBuffer> {
+/** 32-bit floats as the schema carries them. */
+export function littleEndian(numbers: Float32Array = new Float32Array()): Uint8Array<ArrayBuffer> {
   const view = new DataView(new ArrayBuffer(4 * numbers.length));
   numbers.forEach((value, k) => view.setFloat32(4 * k, value, true));
   return new Uint8Array(view.buffer);

@@ -7,6 +7,8 @@ import {
   CarryResponseSchema,
   CrossingsRequestSchema,
   CrossingsResponseSchema,
+  type EditRequest_AdoptSchema,
+  EditRequest_On,
   EditRequestSchema,
   EditResultSchema,
   HandleSchema,
@@ -24,7 +26,7 @@ import type { AnimateOptions } from "./animation.js";
 import { Animation, formOf } from "./animation.js";
 import { PliantError } from "./errors.js";
 import { originOf } from "./frames.js";
-import { checkPoses } from "./poses.js";
+import { checkPoses, littleEndian } from "./poses.js";
 import { type RegionLike, regionFrom } from "./regions.js";
 import type { Vector } from "./rotation.js";
 import type { StreamEvents } from "./stream.js";
@@ -189,6 +191,23 @@ export class Session {
     const result = await this.transport.message(EditResultSchema, "POST", this.path("/edits"), { ...call, json });
     this.known = Math.max(this.known, Number(result.revision));
     return result;
+  }
+
+  /**
+   * Makes a shape the rest pose, from which poses go on: the current one, or x, y, z of each vertex (or of each but those of passengers),
+   * relative to `origin` as frames are. They hold bit for bit; rig, skins, morph targets and passengers follow. One commit, in parts
+   * where it is large.
+   */
+  async adopt(positions?: Float32Array, on: "CURRENT" | "REST" = "CURRENT", call: CallOptions = {}): Promise<EditResult> {
+    const edit = (adopt: MessageInitShape<typeof EditRequest_AdoptSchema>) =>
+      this.edit({ on: EditRequest_On[on], operation: { case: "adopt", value: adopt } }, call);
+    if (positions === undefined) return edit({});
+    const part = 3 * 65536;
+    for (let first = 0; first + part < positions.length; first += part) {
+      await edit({ positions: littleEndian(positions.subarray(first, first + part)), first: first / 3, more: true });
+    }
+    const first = Math.max(0, Math.ceil(positions.length / part) - 1) * part;
+    return edit({ positions: littleEndian(positions.subarray(first)), first: first / 3 });
   }
 
   /**

@@ -128,6 +128,21 @@ impl Deformer {
         let id = self.next_topology;
         let derived = (self.derived).edited(change, id, &self.options, &self.room_limits(), exec)?;
         report.repaired = derived.is_followed();
+        let mut next = self.with_handles_left(derived, &mut carried, &mut report, exec)?;
+        let settings = order.settings.cloned().unwrap_or(EDITED_AT_REST);
+        let outcome = next.shape_after_edit(carried, report, at_rest.then_some(settings), exec)?;
+        self.give_way(next);
+        Ok(outcome)
+    }
+
+    /// A deformer of an edited model with the handles that still hold something.
+    fn with_handles_left(
+        &self,
+        derived: DerivedStructures,
+        carried: &mut CarriedHandles,
+        report: &mut EditReport,
+        exec: &Exec<'_>,
+    ) -> Result<Self, Error> {
         let mut next = self.with_derived(Arc::new(derived));
         carried.drop_empty(
             self.handles(),
@@ -146,10 +161,7 @@ impl Deformer {
             watcher: exec.progress,
         };
         next.set_handles(&carried.set, &Exec::new(exec.pool, &beside))?;
-        let settings = order.settings.cloned().unwrap_or(EDITED_AT_REST);
-        let outcome = next.shape_after_edit(carried, report, at_rest.then_some(settings), exec)?;
-        self.give_way(next);
-        Ok(outcome)
+        Ok(next)
     }
 
     /// The surface after a patch, with what rides along; and what is to be said of what of that stays behind.

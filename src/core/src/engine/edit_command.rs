@@ -87,8 +87,8 @@ pub enum Edit {
     Clean(CleanCommand),
     /// Makes a shape the rest pose, with vertices where they are given. Vertices and triangles stay.
     Adopt {
-        /// Where, relative to [`DeformerFacts::origin`](super::DeformerFacts::origin): of each render vertex, or of each that is no
-        /// passenger's. Empty: the shape as it is.
+        /// Where, relative to [`DeformerFacts::origin`](super::DeformerFacts::origin): of each render vertex, or of each but those of
+        /// passengers. Empty: the shape as it is.
         positions: Vec<[f32; 3]>,
     },
 }

@@ -17,6 +17,7 @@ use crate::history::session_state::{CommittedHandles, SessionState, ShapeRecipe}
 use crate::keeping::sweep::evict_idle;
 use crate::registry::OpenSession;
 use crate::stream::frame_window::FrameContext;
+use crate::task::adopted_parts::AdoptedParts;
 use crate::task::session_task::{SessionTask, no_handles};
 use glam::DVec3;
 use pliant_asset::WrittenFiles;
@@ -31,7 +32,6 @@ use pliant_wire::{
     CarryOrder, CrossingsOrder, DeformOptions, MakeRigOrder, PoseCommit, SessionEdit, made_rig_message, origin_of, pb,
     written_warnings,
 };
-use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -450,9 +450,17 @@ impl SessionTask {
 
 impl RunCall for SessionEdit {
     async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<pb::EditResult, Error> {
-        let edit = match task.join_parts(self)? {
-            ControlFlow::Continue(edit) => Arc::new(edit),
-            ControlFlow::Break(kept) => return Ok(kept),
+        let (revision, vertices) = (task.history.revision(), task.history.current().vertices());
+        let edit = match AdoptedParts::join(task.adopted_parts.take(), self, revision, vertices)?.whole() {
+            Ok(edit) => Arc::new(edit),
+            Err(parts) => {
+                reserve_more(task, parts.byte_size(), "keeping the parts of a shape")?;
+                task.adopted_parts = Some(*parts);
+                return Ok(pb::EditResult {
+                    revision,
+                    ..Default::default()
+                });
+            }
         };
         let limit = task.shared.config.build;
         let (edited, shape, mut report, watch) = loop {
@@ -505,7 +513,7 @@ fn reserve_for_clip(task: &mut SessionTask, bytes: usize) -> Result<(), Error> {
 }
 
 /// Reserves memory for `what` until the call is over.
-pub(super) fn reserve_more(task: &mut SessionTask, needed: u64, what: &str) -> Result<(), Error> {
+fn reserve_more(task: &mut SessionTask, needed: u64, what: &str) -> Result<(), Error> {
     let reserved = task.memory.grow_to(task.memory.bytes().saturating_add(needed));
     reserved.map_err(|shortage| {
         let text = format!("{what} would need {needed} bytes of memory, and {shortage}");

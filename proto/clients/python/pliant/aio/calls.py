@@ -11,6 +11,7 @@ import grpc
 
 from .. import channel, errors
 from ..model import Upload
+from ..poses import commit_in_parts
 from ..progress import Progress
 from ..route import AWAY_SECONDS, Route
 from ..server import LocalServer
@@ -19,6 +20,9 @@ from ..v1 import pliant_pb2 as pb
 from ..v1.pliant_pb2_grpc import DeformerStub
 
 _T = TypeVar("_T")
+
+#: Bytes of a pose that goes in parts: some less than a message may have by default.
+_LARGE = 3 << 20
 
 
 class Lines:
@@ -119,6 +123,35 @@ class Calls:
             session = await self.transport.one(self._stub().CreateSession, requests, **way)
             assert isinstance(session, pb.Session)
             return session
+
+        return await self._repeat(attempt)
+
+    async def commit(self, request: pb.SolveRequest) -> list[pb.Frame]:
+        """A pose to solve and record, and the parts of its frame: by a call, or where that is too large for one message by a stream."""
+        if request.ByteSize() <= _LARGE:
+            return await self.many("Solve", request, keyed=True)
+        messages = commit_in_parts(request, channel.key())
+
+        async def attempt() -> list[pb.Frame]:
+            queue, parts = self.transport.queue(), list[pb.Frame]()
+            for message in messages:
+                queue.put_nowait(message)
+            call = self.deform(queue)
+            try:
+                async for response in self.transport.answers(call):
+                    kind = response.WhichOneof("message")
+                    if kind == "error":
+                        raise errors.of_stream(response.error.code, response.error.message, response.error.seq)
+                    if kind == "notice" and response.notice.code == "going-away":
+                        break
+                    if kind == "frame":
+                        parts.append(response.frame)
+                        if len(parts) == response.frame.parts:
+                            return parts
+            finally:
+                call.cancel()
+                queue.put_nowait(None)
+            raise errors.Unavailable("the server ended the stream")
 
         return await self._repeat(attempt)
 

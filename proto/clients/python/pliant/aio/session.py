@@ -76,7 +76,7 @@ class Session(Declared):
 
     async def _solve(self, poses: Any, how: pb.Options) -> SolvedFrame:
         request = self._books.solve_request(poses, how)
-        parts = await self._calls.many("Solve", request, keyed=True)
+        parts = await self._calls.commit(request)
         frame = frames.solved(frames.whole(parts, self.vertices, changed_only=how.output.HasField("changed_only")))
         self._books.committed(frame, request)
         return frame
@@ -86,7 +86,7 @@ class Session(Declared):
         await self.apply()
         wish = options(how)
         record = recorded(wish)
-        traffic = Traffic(self.id, self.vertices, wish)
+        traffic = Traffic(self.info, self.vertices, wish)
         return Stream(self._calls, traffic, lambda poses: self._solve(poses, record))
 
     async def drag(
@@ -250,7 +250,7 @@ class Session(Declared):
         self, *, on: Literal["current", "rest"] = "current", **operation: Unpack[edits.EditFields]
     ) -> edits.EditResult:
         """Changes the topology: one of ``cut``, ``subdivide``, ``decimate``, ``delete``, ``fill``, ``remesh``, ``smooth``,
-        ``merge``, ``insert_curve`` and ``weld``.
+        ``merge``, ``insert_curve``, ``weld``, ``clean`` and ``adopt``.
 
         Afterwards ``vertices`` and ``info`` are new, and streams have to be opened again.
         """
@@ -259,6 +259,20 @@ class Session(Declared):
         done = edits.result(await self._calls.one("Edit", request, keyed=True))
         self._books.edited(await self._calls.one("GetSession", self._named()))
         return done
+
+    async def adopt(
+        self, positions: npt.ArrayLike | None = None, *, on: Literal["current", "rest"] = "current"
+    ) -> edits.EditResult:
+        """Makes a shape the rest pose, from which poses go on: the current one, or (n, 3) `positions` of all vertices or of those that
+        are no passenger's, in model space. They hold bit for bit (32 bits, relative to an origin where there is one); rig, skins,
+        morph targets and passengers follow. One commit, in parts where it is large.
+        """
+        requests = edits.adoptions(self.info, on, positions, self.vertices)
+        await self.apply()
+        for request in requests:
+            answer = await self._calls.one("Edit", request, keyed=True)
+        self._books.edited(await self._calls.one("GetSession", self._named()))
+        return edits.result(answer)
 
     async def undo(self) -> pb.Session:
         """Goes back by one commit; positions return bit for bit."""
