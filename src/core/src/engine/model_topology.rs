@@ -42,6 +42,8 @@ pub(super) struct EditedTopology {
     pub apart: bool,
     /// Which parts were one.
     pub families: PartFamilies,
+    /// Whether an edit has made a posed shape the rest pose, so that it is not that of the file.
+    pub posed: bool,
 }
 
 impl ModelTopology {
@@ -198,6 +200,7 @@ impl ModelTopology {
                 points: applied.points,
                 apart: self.is_apart(),
                 families,
+                posed: self.edited.as_ref().is_some_and(|e| e.posed),
             }),
         };
         (topology, applied)
