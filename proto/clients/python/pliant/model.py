@@ -83,7 +83,7 @@ def read(model: Model, companions: Mapping[str, bytes] | None = None) -> Upload:
     if isinstance(model, (str, os.PathLike)):
         path = Path(model)
         upload = Upload(path.read_bytes(), format=path.suffix.lstrip(".").lower(), label=_label(path.name))
-        if upload.format not in ("glb", "vrm", "gltf", "obj", "ply", "off", "stl", "fbx"):
+        if upload.format not in ("glb", "vrm", "gltf", "obj", "ply", "off", "stl", "fbx", "splat", "spz"):
             upload.format = ""
         if companions is None:
             upload.companions = _beside(path, upload.main)

@@ -60,7 +60,7 @@ export interface RigOrder {
 }
 
 /** Formats that a model can be had in. */
-export type Format = "glb" | "vrm" | "gltf" | "obj" | "ply" | "off" | "stl";
+export type Format = "glb" | "vrm" | "gltf" | "obj" | "ply" | "off" | "stl" | "splat" | "spz";
 
 /** A committed pose as a bare buffer. */
 export interface Solved {

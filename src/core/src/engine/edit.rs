@@ -90,12 +90,9 @@ impl Deformer {
         if let Some(edited) = topology.edited.as_mut() {
             edited.apart |= order.edit.kind() == EditKind::Cut;
         }
-        if let Some(edited) = topology.edited.as_mut().filter(|_| shape.id != rest.id) {
-            edited.posed = true;
-        }
         if shape.id != rest.id {
             // What the edit sees becomes the rest pose, of what rides along too.
-            topology.riding_nodes = self.riding_nodes_at(&shape.positions, exec)?;
+            topology.take_posed_rest(self.riding_nodes_at(&shape.positions, exec)?);
         }
         drop((surface, origins));
         exec.check()?;

@@ -240,6 +240,14 @@ impl ModelTopology {
         }
     }
 
+    /// Says that its rest pose is a posed shape, with the nodes that ride along as they are there.
+    pub fn take_posed_rest(&mut self, riding_nodes: Arc<RidingNodes>) {
+        self.riding_nodes = riding_nodes;
+        if let Some(edited) = &mut self.edited {
+            edited.posed = true;
+        }
+    }
+
     /// Whether a cut has made parts that touch and do not belong together.
     pub fn is_apart(&self) -> bool {
         self.edited.as_ref().is_some_and(|e| e.apart)

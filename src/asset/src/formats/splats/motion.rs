@@ -50,7 +50,7 @@ pub struct SplatMotion<'a> {
 }
 
 impl Splats {
-    /// Carries them along with a surface, from where it was at rest to where it is. What has not moved keeps its bits.
+    /// Carries them along with a surface, from its rest pose to where it is. What has not moved keeps its bits.
     ///
     /// # Errors
     /// [`Cancelled`]; the splats are of no use then.

@@ -19,16 +19,26 @@ export interface Topology {
 
 /** Asks the server for the surface as it is now. */
 export async function loadTopology(session: Session, signal?: AbortSignal): Promise<Topology> {
-  const format = session.facts.model?.format === "ply" ? "glb" : "ply";
+  const own = session.facts.model?.format ?? "";
+  const format = ["ply", "splat", "spz"].includes(own) ? "glb" : "ply";
   const blob = await session.model(format, signal ? { signal } : {});
   const bytes = await blob.arrayBuffer();
-  const topology = format === "ply" ? readPly(bytes, session.origin) : readGlb(bytes, session.origin);
+  let topology = format === "ply" ? readPly(bytes, session.origin) : readGlb(bytes, session.origin);
   const told = session.facts.model?.vertices ?? 0;
+  const first = session.facts.primitives[0];
+  if (first?.passenger && first.name === "splats" && format === "glb") {
+    topology = behindSplats(topology, await session.positions(signal ? { signal } : {}), first.vertexCount);
+  }
   const seen = topology.positions.length / 3;
   if (seen !== told) {
     throw new Error(`the server reports ${told} vertices but sent ${seen}`);
   }
   return topology;
+}
+
+/** The surface around Gaussian splats, which the file has alone, behind their centres, as the session counts vertices. */
+function behindSplats(surface: Topology, positions: Float32Array<ArrayBuffer>, splats: number): Topology {
+  return { positions, normals: undefined, indices: surface.indices.map((vertex) => vertex + splats) };
 }
 
 const SIZES: Record<string, number> = { double: 8, float: 4, uint: 4, int: 4, ushort: 2, short: 2, uchar: 1, char: 1 };
