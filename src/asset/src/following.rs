@@ -1,7 +1,8 @@
 //! What else of a file follows when the shape of its model changes: by rule, by motions of nodes, and how much did, in numbers.
 
-use glam::DAffine3;
+use glam::{DAffine3, DVec3};
 use pliant_exec::Exec;
+use pliant_mesh::carry::{CarriedPoints, SurfaceCarrier};
 use std::collections::BTreeMap;
 
 /// What becomes of morph targets.
@@ -203,6 +204,20 @@ pub struct ShapeFollowers<'a> {
     pub nodes: &'a NodeMotions,
     /// Where splats are carried along; on a thread of its own without it.
     pub exec: Option<Exec<'a>>,
+    /// What the splats of a model of their own follow, where that is known; found again without it, which takes longer.
+    pub splats: Option<BoundSplats<'a>>,
+    /// Where the vertices of an edited model were before it was posed, in the world of its files; what they are blended from says it
+    /// where it is not known.
+    pub rest: Option<&'a [DVec3]>,
+}
+
+/// What the splats of a model that no edit has changed follow, all of them in their order, and where it has gone.
+#[derive(Clone, Copy)]
+pub struct BoundSplats<'a> {
+    /// How the surface has moved.
+    pub carrier: &'a SurfaceCarrier,
+    /// Their centres, bound to that surface.
+    pub points: &'a CarriedPoints,
 }
 
 impl From<Following> for ShapeFollowers<'_> {
@@ -211,6 +226,8 @@ impl From<Following> for ShapeFollowers<'_> {
             rules,
             nodes: &NO_MOTIONS,
             exec: None,
+            splats: None,
+            rest: None,
         }
     }
 }

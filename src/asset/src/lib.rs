@@ -41,8 +41,8 @@ mod write;
 pub use edited::{BaseModel, CapLooks, EditedModel, PrimitiveRun, VertexBlend, VertexBlends};
 pub use files::{FileSet, Limits, WrittenFiles, WrittenWarning};
 pub use following::{
-    BoneLengthRule, FollowedCounts, Following, JointTravel, LargeSplatRule, ModelNode, MorphTargetRule, NodeMotions,
-    RigRule, ShapeFollowers,
+    BoneLengthRule, BoundSplats, FollowedCounts, Following, JointTravel, LargeSplatRule, ModelNode, MorphTargetRule,
+    NodeMotions, RigRule, ShapeFollowers,
 };
 pub use format::{Error, Format};
 pub use formats::{SplatMotion, SplatPlaces, Splats, gltf_extension_table};

@@ -2,8 +2,10 @@
 
 use glam::{DMat3, DQuat, DVec3};
 use pliant_core::asset::{FileSet, Following, Format, LargeSplatRule, Limits, Splats, shapes};
+use pliant_core::edit::KeptSide;
 use pliant_core::engine::{
-    CarriedModel, Deformer, DeformerLimits, Handle, HandlePose, OpenOptions, Region, SolveSettings,
+    CarriedModel, CutLine, Deformer, DeformerLimits, Edit, EditCommand, EditedShape, Handle, HandlePose, OpenOptions,
+    Plane, Region, SolveSettings,
 };
 use pliant_core::exec::Exec;
 use pliant_core::mesh::carry::{CarriedFrame, CarriedSpace, SurfaceCarrier};
@@ -336,7 +338,7 @@ fn splats_of_their_own_turn_with_a_rigid_move_as_the_formula_says() {
 }
 
 #[test]
-fn splats_of_their_own_bend_and_are_cut_and_go_with_what_is_deleted() {
+fn splats_of_their_own_bend_and_come_back_in_each_format() {
     let results = [1, 4].map(|threads| {
         let pool = Pool::new(threads).expect("threads");
         let exec = Exec::new(&pool, &Silent);
@@ -383,6 +385,59 @@ fn splats_of_their_own_bend_and_are_cut_and_go_with_what_is_deleted() {
         written.main
     });
     assert!(results[0] == results[1]);
+}
+
+#[test]
+fn what_an_edit_takes_takes_its_splats_along_and_the_others_ride_on() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let (_, splats, centers) = bar();
+    let half = Edit::Cut {
+        along: CutLine::Plane(Plane {
+            normal: DVec3::Y,
+            offset: 2.0,
+        }),
+        keep: KeptSide::Below,
+        fill: true,
+        cap: None,
+    };
+    let end = Edit::Delete {
+        region: Region::half_space([0.0, -1.0, 0.0], -0.5),
+        fill: true,
+    };
+    let turn = exp_rotation(DVec3::new(0.0, 0.0, 1.5));
+    for (edit, left) in [(half, 0..80), (end, 20..160_usize)] {
+        let mut deformer = own_model(&splats, &exec);
+        let rest = deformer.rest_shape();
+        let command = EditCommand {
+            edit: &edit,
+            on: EditedShape::Rest,
+            shape: &rest,
+            poses: &deformer.initial_poses(),
+            settings: None,
+        };
+        let outcome = deformer.edit(&command, &exec).expect("edited");
+        assert!(outcome.report.warnings.iter().any(|w| w.code == "splats-cut"));
+        let all = Handle::new("all", Region::half_space([0.0, 1.0, 0.0], -9.0));
+        deformer.set_handles([all], &exec).expect("a handle");
+        let pose = HandlePose::rotation([0.0, 0.0, 1.5]).about([0.0; 3]);
+        let solved = deformer
+            .commit([("all", pose)], &SolveSettings::default(), &exec)
+            .expect("solved");
+        let written = deformer.write(&solved.positions, Format::PLY, &exec).expect("written");
+        let kept = rows(&written.main);
+        assert!(kept.len().abs_diff(left.len()) <= 8, "{} of {left:?}", kept.len());
+        for row in &kept {
+            let place = turn.conjugate() * DVec3::from_slice(row);
+            let was = centers
+                .iter()
+                .position(|c| c.distance(place) < 1e-5)
+                .expect("one of them");
+            assert!((left.start.saturating_sub(4)..left.end + 4).contains(&was), "{was}");
+            let own = DQuat::from_xyzw(row[11], row[12], row[13], row[10]);
+            assert!(own.dot(turn).abs() > 1.0 - 1e-9, "{own}");
+        }
+    }
 }
 
 /// The bar of [`bar`] with its splats in one glTF, under a node that turns and enlarges both; and the names of its harmonics.

@@ -308,6 +308,21 @@ mod tests {
     }
 
     #[test]
+    fn the_surface_around_splats_has_as_many_triangles_as_asked_for_within_limits() {
+        let read = |text: &str| open_options(&crate::json::from_json(text.as_bytes()).expect("options"));
+        let triangles = |text: &str| read(text).expect("allowed").cage_triangles;
+        assert_eq!(triangles("{}"), 20_000);
+        assert_eq!(triangles(r#"{"cageTriangles": 500}"#), 500);
+        for text in [r#"{"cageTriangles": 499}"#, r#"{"cageTriangles": 200001}"#] {
+            let refused = read(text).expect_err(text).to_string();
+            assert!(
+                refused.starts_with("cageTriangles: is ") && refused.contains("500 to 200000"),
+                "{refused}"
+            );
+        }
+    }
+
+    #[test]
     fn all_operators_can_be_chosen() {
         use pb::create_options::Operators as Wanted;
         for (wanted, chosen) in [

@@ -73,7 +73,8 @@ def open(
     a bar, or a callable that gets bytes; both get the stages ``read``, ``upload`` and ``build``, a callable by its method
     ``stage`` if it has one. `create` says how the session is built: ``volume_graph``,
     ``components``, ``parts``, ``tie_distance``, ``keep_apart``, ``weights``, ``weld``, ``operators``,
-    ``morph_targets``, ``rig``, ``bone_lengths``, ``rigid_chains``, ``passengers``, ``ttl``, ``label``, ``format``. `server` and
+    ``morph_targets``, ``rig``, ``bone_lengths``, ``rigid_chains``, ``passengers``, ``large_splats``, ``cage_triangles``, ``ttl``,
+    ``label``, ``format``. `server` and
     `way` are as in :func:`connect`.
     """
     client = Client(server, **(way or {}))

@@ -116,7 +116,7 @@ class NodePassenger(TypedDict):
 class CreateFields(TypedDict, total=False):
     """How a session is built from its model, all optional."""
 
-    #: "glb" (or "vrm"), "gltf", "obj", "ply", "off", "stl", "3mf" or "fbx"; absent = recognised by the first bytes.
+    #: "glb" (or "vrm"), "gltf", "obj", "ply", "off", "stl", "3mf", "fbx", "splat" or "spz"; absent = recognised by the first bytes.
     format: str
     volume_graph: Union[Literal["auto", "off", "required"], VolumeGraph]
     #: What happens to parts in which no handle lies.
@@ -147,6 +147,10 @@ class CreateFields(TypedDict, total=False):
     tie_distance: float
     #: Parts that get no ties.
     keep_apart: KeepApart
+    #: Whether Gaussian splats that are larger than the bend around them are divided.
+    large_splats: Literal["divide", "keep"]
+    #: About how many triangles the surface around a model of Gaussian splats has; absent = 20000.
+    cage_triangles: int
 
 
 def create_options(fields: CreateFields) -> pb.CreateOptions:
@@ -184,6 +188,10 @@ def create_options(fields: CreateFields) -> pb.CreateOptions:
             message.tie_distance = number(name, value)
         elif name == "keep_apart":
             _keep_apart(fields["keep_apart"], message.keep_apart)
+        elif name == "large_splats":
+            message.large_splats = enum(name, pb.CreateOptions.LargeSplats.Rule, value)
+        elif name == "cage_triangles":
+            put(message, name, value)
         elif name == "volume_graph":
             graph = fields["volume_graph"]
             _volume_graph({"mode": graph} if isinstance(graph, str) else graph, message.volume_graph)

@@ -32,7 +32,7 @@ _Doubles = npt.NDArray[np.float64]
 
 def surface_format(opened: str) -> str:
     """The format in which the server writes the triangles of such a model anew: a PLY would come back in its own form."""
-    return "glb" if opened == "ply" else "ply"
+    return "glb" if opened in ("ply", "splat", "spz") else "ply"
 
 
 def triangles_of(file: bytes) -> tuple[_Doubles, npt.NDArray[np.int64]]:

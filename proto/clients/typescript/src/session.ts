@@ -31,7 +31,7 @@ import { type RegionLike, regionFrom } from "./regions.js";
 import type { Vector } from "./rotation.js";
 import type { StreamEvents } from "./stream.js";
 import { Stream } from "./stream.js";
-import { type Topology, readTopology, topologyFormat } from "./topology.js";
+import { type Topology, behindSplats, readTopology, topologyFormat } from "./topology.js";
 import type { CallOptions, Transport } from "./transport.js";
 import { jsonOf } from "./transport.js";
 
@@ -64,7 +64,7 @@ export interface RigOrder {
 }
 
 /** Formats that a model can be had in. */
-export type Format = "glb" | "vrm" | "gltf" | "obj" | "ply" | "off" | "stl" | "3mf";
+export type Format = "glb" | "vrm" | "gltf" | "obj" | "ply" | "off" | "stl" | "3mf" | "splat" | "spz";
 
 /** A committed pose as a bare buffer. */
 export interface Solved {
@@ -241,7 +241,9 @@ export class Session {
   /** The triangles, which stay the same until an edit, with the current `positions`, and normals where the model has them. */
   async topology(call: CallOptions = {}): Promise<Topology> {
     const { format, vertices = 0 } = this.facts.model ?? {};
-    const topology = readTopology(await (await this.model(topologyFormat(format), call)).arrayBuffer(), this.origin);
+    let topology = readTopology(await (await this.model(topologyFormat(format), call)).arrayBuffer(), this.origin);
+    const [first] = this.facts.primitives;
+    if (first?.passenger === true && first.name === "splats") topology = behindSplats(topology, await this.positions(call), first.vertexCount);
     const seen = topology.positions.length / 3;
     if (seen !== vertices) throw new PliantError("INTERNAL", `the server reports ${vertices} vertices but sent ${seen}`);
     return topology;

@@ -1,6 +1,6 @@
 //! The deformer: one model, everything derived from it, its handles, and poses solved on request.
 
-use crate::asset::{BoneLengthRule, FileSet, Format, Geometry, Model, ShapeFollowers, WrittenFiles};
+use crate::asset::{BoneLengthRule, BoundSplats, FileSet, Format, Geometry, Model, ShapeFollowers, WrittenFiles};
 use crate::deform::{DeformableBody, HandleSystem, PoseStats, SolveState};
 use crate::engine::derived_structures::{DerivedStructures, admit_bytes};
 use crate::engine::error::Error;
@@ -18,6 +18,7 @@ use crate::engine::settings::{DeformerLimits, HeldBeside, OpenOptions};
 use crate::engine::shape::{ModelShape, ShapeId, TopologyId};
 use crate::engine::stiff::{farthest_off_rigid, find_hard_parts};
 use crate::exec::Exec;
+use crate::mesh::carry::CarriedPoints;
 use crate::mesh::{BoundingBox, Crossing, CrossingPairs, Mesh, MeshReport, self_intersections};
 use crate::pool::Pool;
 use crate::reference::SpatialRbf;
@@ -231,12 +232,29 @@ impl Deformer {
             held: self.byte_size(),
             watcher: exec.progress,
         };
+        let points = self.bound_splats().filter(|_| format.holds_splats());
+        let carrier = points.map(|_| self.carrier(positions, exec)).transpose()?;
+        let splats = points.zip(carrier.as_ref());
         let followers = ShapeFollowers {
             rules: self.options.following.clone(),
             nodes: &motions,
             exec: Some(Exec::new(exec.pool, &beside)),
+            splats: splats.map(|(points, carrier)| BoundSplats { carrier, points }),
+            rest: self
+                .topology()
+                .edited
+                .as_ref()
+                .filter(|edited| !edited.posed)
+                .map(|_| self.rest().as_slice()),
         };
         self.topology().write(positions, format, &followers)
+    }
+
+    /// The splats of a model of their own that no edit has changed, once they are bound to its surface.
+    fn bound_splats(&self) -> Option<&CarriedPoints> {
+        let of_splats = self.model().holds_splats() && !self.is_edited();
+        let (_, riders) = self.derived.riding_vertices().filter(|_| of_splats)?;
+        riders.points_of_first(self.geometry().primitives.first()?.vertex_count as usize)
     }
 
     /// What was found about the mesh.

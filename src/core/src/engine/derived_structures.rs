@@ -241,6 +241,7 @@ impl DerivedStructures {
             primitives: &topology.geometry().primitives,
             rest: &topology.rest,
             loose: self.loose_vertices_ride,
+            of_splats: topology.model.holds_splats(),
         }
     }
 

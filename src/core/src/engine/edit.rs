@@ -106,7 +106,7 @@ impl Deformer {
         }
         if shape.id != rest.id {
             // What the edit sees becomes the rest pose, of what rides along too.
-            topology.riding_nodes = self.riding_nodes_at(&shape.positions, exec)?;
+            topology.take_posed_rest(self.riding_nodes_at(&shape.positions, exec)?);
         }
         drop((surface, origins));
         exec.check()?;

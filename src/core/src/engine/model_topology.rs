@@ -42,6 +42,8 @@ pub(super) struct EditedTopology {
     pub apart: bool,
     /// Which parts were one.
     pub families: PartFamilies,
+    /// Whether an edit has made a posed shape the rest pose, so that it is not that of the file.
+    pub posed: bool,
 }
 
 impl ModelTopology {
@@ -198,6 +200,7 @@ impl ModelTopology {
                 points: applied.points,
                 apart: self.is_apart(),
                 families,
+                posed: self.edited.as_ref().is_some_and(|e| e.posed),
             }),
         };
         (topology, applied)
@@ -234,6 +237,14 @@ impl ModelTopology {
         match &self.edited {
             Some(e) => e.origins.base_triangle(triangle),
             None => triangle as u32,
+        }
+    }
+
+    /// Says that its rest pose is a posed shape, with the nodes that ride along as they are there.
+    pub fn take_posed_rest(&mut self, riding_nodes: Arc<RidingNodes>) {
+        self.riding_nodes = riding_nodes;
+        if let Some(edited) = &mut self.edited {
+            edited.posed = true;
         }
     }
 

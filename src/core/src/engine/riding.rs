@@ -104,6 +104,8 @@ pub(super) struct RidingModel<'a> {
     pub rest: &'a [DVec3],
     /// Whether those in no triangle do, of primitives that are no passengers.
     pub loose: bool,
+    /// Whether it is of splats, which ride along because they were asked for.
+    pub of_splats: bool,
 }
 
 impl RidingModel<'_> {
@@ -184,7 +186,10 @@ impl RidingVertices {
             admit(riders.byte_size() as u64)?;
         }
         let loose = riders.vertices.len() - bodies;
-        let limit = LEAST_LOOSE_VISITS + VISITS_PER_LOOSE_VERTEX * loose as u64;
+        let limit = match model.of_splats {
+            true => LEAST_VISITS + VISITS_PER_VERTEX * loose as u64,
+            false => LEAST_LOOSE_VISITS + VISITS_PER_LOOSE_VERTEX * loose as u64,
+        };
         let bound = riders.points.clone();
         visits = 0;
         for block in riders.vertices[bodies..].chunks(BLOCK) {
@@ -222,6 +227,12 @@ impl RidingVertices {
         for &(vertex, like) in &self.on_vertices {
             positions[vertex as usize] = positions[like as usize];
         }
+    }
+
+    /// The points of `count` vertices from 0 on, where all of those ride along, each bound, and no others do.
+    pub fn points_of_first(&self, count: usize) -> Option<&CarriedPoints> {
+        let all = self.vertices.iter().zip(0..).all(|(vertex, k)| *vertex == k);
+        (all && self.vertices.len() == count && self.points.len() == count).then_some(&self.points)
     }
 
     /// Bytes held on the heap.

@@ -91,6 +91,7 @@ impl RidingFile {
                 let motion = SplatMotion {
                     places: SplatPlaces::Carried,
                     divides: *divides,
+                    bound: None,
                 };
                 splats.move_along(carrier, &motion, exec)?;
             }

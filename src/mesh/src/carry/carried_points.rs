@@ -118,6 +118,45 @@ impl CarriedPoints {
         })
     }
 
+    /// Carries the points of these numbers along, each with the gradient around it, as [`SurfaceCarrier::carry_spaces`] does and
+    /// bit for bit; `carrier` and `stretch` must be of the surface that they were bound to.
+    ///
+    /// # Errors
+    /// [`Cancelled`].
+    ///
+    /// # Panics
+    /// For a number that is not below [`CarriedPoints::len`], and as [`CarriedPoints::carried_by`].
+    pub fn spaces_along(
+        &self,
+        numbers: &[u32],
+        carrier: &SurfaceCarrier,
+        stretch: &SurfaceStretch,
+        exec: &Exec<'_>,
+    ) -> Result<Vec<CarriedSpace>, Cancelled> {
+        let motion = &carrier.motion;
+        let carry = |number: &u32| {
+            let i = *number as usize;
+            let followed = self.first[i]..self.first[i + 1];
+            let weights = &self.weights[followed.clone()];
+            let samples = || {
+                self.samples[followed.clone()]
+                    .iter()
+                    .copied()
+                    .zip(weights.iter().copied())
+            };
+            if followed.is_empty() {
+                return CarriedSpace::resting(self.points[i]);
+            }
+            let frame = motion.carry_along(self.points[i], self.levers[i], samples());
+            stretch.around(motion, frame, self.points[i], samples)
+        };
+        exec.check()?;
+        Ok(exec.pool.install(|| {
+            let numbers = numbers.par_iter().with_min_len(BATCH);
+            numbers.map(carry).collect()
+        }))
+    }
+
     /// Bytes held on the heap.
     pub fn byte_size(&self) -> usize {
         (self.points.capacity() + self.levers.capacity()) * size_of::<DVec3>()

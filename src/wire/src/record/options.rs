@@ -132,6 +132,7 @@ mod tests {
             r#"{"volumeGraph": {"mode": "OFF"}, "keepApart": {"primitives": [1], "components": [2, 3]}}"#,
             r#"{"morphTargets": "KEEP", "rig": "KEEP"}"#,
             r#"{"boneLengths": "KEEP"}"#,
+            r#"{"largeSplats": "KEEP", "cageTriangles": 4000}"#,
             r#"{"rigidChains": ["arm", "leg"]}"#,
             r#"{"passengers": [{"name": "a", "primitive": 1}, {"primitivesNamed": "b"}, {"node": 2}, {"nodesNamed": "c"}]}"#,
         ] {

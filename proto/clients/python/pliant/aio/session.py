@@ -157,9 +157,12 @@ class Session(Declared):
     async def triangles(self) -> npt.NDArray[np.int64]:
         """The triangles, (triangles, 3) numbers of rows of :meth:`positions`. They stay the same until an edit."""
         points, triangles = preview.triangles_of(await self._preview_bytes())
-        if len(points) != self.vertices:
+        # The file of Gaussian splats is of the surface around them, whose vertices come after their centres.
+        first = self.info.primitives[0]
+        before = first.vertex_count if first.passenger and first.name == "splats" else 0
+        if before + len(points) != self.vertices:
             raise errors.Internal(f"the triangles are of {len(points)} vertices, the session has {self.vertices}")
-        return triangles
+        return triangles + before
 
     async def to_trimesh(self) -> Any:
         """The model in its current shape as a `trimesh.Trimesh`, whose vertices are the rows of :meth:`positions`. It needs trimesh."""

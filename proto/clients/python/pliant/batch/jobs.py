@@ -20,7 +20,7 @@ from .riders import refusal
 #: What a job's name looks like: it names a folder as well, on any system.
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,119}")
 #: Formats that a result may have.
-FORMATS = ("glb", "vrm", "gltf", "obj", "ply", "off", "stl", "3mf")
+FORMATS = ("glb", "vrm", "gltf", "obj", "ply", "off", "stl", "3mf", "splat", "spz")
 #: Bytes of the largest file that a job may name, and of the largest job.
 _LARGEST = 1 << 30
 

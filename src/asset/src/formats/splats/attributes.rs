@@ -17,7 +17,7 @@ pub(in super::super) struct SplatAttributes {
 }
 
 impl Splats {
-    /// Splats of attributes, whose looks nobody asks for.
+    /// Splats of attributes, without looks.
     pub(in super::super) fn of_attributes(centers: Vec<DVec3>, numbers: &SplatAttributes) -> Self {
         let count = centers.len();
         let degree = (0..=3).find(|&d| coefficients_of(d) == 3 * numbers.harmonics.len());

@@ -11,7 +11,8 @@ use crate::files::{ReadWatch, counted};
 use crate::model::FileNotes;
 use crate::neutral::NeutralModel;
 use crate::{
-    Error, FileSet, Format, Geometry, LargeSplatRule, Model, Primitive, ShapeFollowers, WrittenFiles, WrittenWarning,
+    BoundSplats, Error, FileSet, Format, Geometry, LargeSplatRule, Model, Primitive, ShapeFollowers, WrittenFiles,
+    WrittenWarning,
 };
 use glam::DVec3;
 use pliant_exec::Exec;
@@ -90,6 +91,7 @@ impl FormatCodec for SplatModelCodec {
             triangles: &triangles,
             rest: &geometry.positions[first..],
             now,
+            bound: output.followers.splats,
         };
         surface.write(notes.splats.clone(), places, output.format, output.followers)
     }
@@ -117,7 +119,11 @@ impl FormatCodec for SplatModelCodec {
         let (mut rest, mut now, mut triangles) = (Vec::new(), Vec::new(), Vec::new());
         for run in cages {
             let shift = now.len() as u32;
-            rest.extend(run.vertices().map(|v| rest_place(edited, v)));
+            let known = output.followers.rest.and_then(|rest| rest.get(run.vertices()));
+            match known {
+                Some(known) => rest.extend_from_slice(known),
+                None => rest.extend(run.vertices().map(|v| rest_place(edited, v))),
+            }
             now.extend(run.vertices().map(|v| output.positions[v]));
             let moved = |v: u32| v - run.first_vertex + shift;
             triangles.extend(edited.triangles[run.triangles()].iter().map(|t| t.map(moved)));
@@ -126,6 +132,7 @@ impl FormatCodec for SplatModelCodec {
             triangles: &triangles,
             rest: &rest,
             now: &now,
+            bound: None,
         };
         let mut written = surface.write(notes.splats.kept(&rows), &places, format, output.followers)?;
         let merged = edited.bases.len() - 1;
@@ -177,6 +184,8 @@ struct MovedSurface<'a> {
     triangles: &'a [[u32; 3]],
     rest: &'a [DVec3],
     now: &'a [DVec3],
+    /// What the splats follow, where that is known.
+    bound: Option<BoundSplats<'a>>,
 }
 
 impl MovedSurface<'_> {
@@ -196,12 +205,21 @@ impl MovedSurface<'_> {
                 &Exec::new(&own, &Silent)
             }
         };
-        let carrier = SurfaceCarrier::new(self.triangles, self.rest, self.now, exec.pool);
+        let bound = self.bound.filter(|bound| bound.points.len() == splats.len());
+        let found;
+        let carrier = match bound {
+            Some(bound) => bound.carrier,
+            None => {
+                found = SurfaceCarrier::new(self.triangles, self.rest, self.now, exec.pool);
+                &found
+            }
+        };
         let motion = SplatMotion {
             places: SplatPlaces::Given(places),
+            bound: bound.map(|bound| bound.points),
             divides: followers.rules.large_splats == LargeSplatRule::Divide,
         };
-        let moved = splats.move_along(&carrier, &motion, exec);
+        let moved = splats.move_along(carrier, &motion, exec);
         moved.map_err(|_| Error::Cancelled)?;
         splats.write(format)
     }

@@ -4,7 +4,7 @@ use super::cloud::{SplatChange, Splats, bytes_of_splat};
 use glam::DVec3;
 use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
-use pliant_mesh::carry::{SurfaceCarrier, SurfaceStretch};
+use pliant_mesh::carry::{CarriedPoints, CarriedSpace, SurfaceCarrier, SurfaceStretch};
 
 /// Splats that are carried before the next ones: what they need besides themselves is held for so many.
 const SPLATS_AT_ONCE: usize = 1 << 16;
@@ -45,10 +45,12 @@ pub struct SplatMotion<'a> {
     pub places: SplatPlaces<'a>,
     /// Whether those that are larger than the bend around them are divided.
     pub divides: bool,
+    /// The centres, bound to the surface, where they are.
+    pub bound: Option<&'a CarriedPoints>,
 }
 
 impl Splats {
-    /// Carries them along with a surface, from where it was at rest to where it is. What has not moved keeps its bits.
+    /// Carries them along with a surface, from its rest pose to where it is. What has not moved keeps its bits.
     ///
     /// # Errors
     /// [`Cancelled`]; the splats are of no use then.
@@ -58,14 +60,19 @@ impl Splats {
         motion: &SplatMotion<'_>,
         exec: &Exec<'_>,
     ) -> Result<(), Cancelled> {
-        let stretch = carrier.stretch(exec.pool);
+        let along = CarriedAlong {
+            carrier,
+            stretch: carrier.stretch(exec.pool),
+            bound: motion.bound.filter(|bound| bound.len() == self.len()),
+            exec,
+        };
         let mut of_given: Vec<u32> = (0..self.len() as u32).collect();
         let mut asked = of_given.clone();
         let most = MOST_GROWTH * self.len() + GROWTH_OF_FEW;
-        let mut whole = self.len();
         let mut rounds = if motion.divides { ROUNDS } else { 0 };
+        let mut is_first = true;
         loop {
-            let bent = self.larger_than_bend(&asked, carrier, &stretch, exec)?;
+            let bent = along.larger_than_bend(self, &asked, &of_given)?;
             self.bent = bent.len();
             let grown = self.len() + 2 * bent.len();
             let bytes = (self.len() + grown) as u64 * bytes_of_splat(self.coefficients());
@@ -76,62 +83,23 @@ impl Splats {
             let (numbers, parts) = self.divide(&bent);
             of_given = numbers.iter().map(|&k| of_given[k as usize]).collect();
             asked = parts;
-            if whole > 0 {
-                self.divided += bent.len();
-                whole = 0;
-            }
+            self.divided += if is_first { bent.len() } else { 0 };
+            is_first = false;
         }
-        for first in (0..self.len()).step_by(SPLATS_AT_ONCE) {
-            let own = first..self.len().min(first + SPLATS_AT_ONCE);
-            let mut spaces = carrier.carry_spaces(&stretch, &self.centers()[own.clone()], exec)?;
+        let all: Vec<u32> = (0..self.len() as u32).collect();
+        for own in all.chunks(SPLATS_AT_ONCE) {
+            let mut spaces = along.spaces(self, own, &of_given)?;
             if let SplatPlaces::Given(places) = motion.places {
-                for (number, space) in own.zip(&mut spaces) {
-                    if self.changes[number] != SplatChange::Divided
-                        && let Some(place) = places.get(of_given[number] as usize)
-                    {
+                for (&number, space) in own.iter().zip(&mut spaces) {
+                    let place = places.get(of_given[number as usize] as usize);
+                    if let Some(place) = place.filter(|_| self.changes[number as usize] != SplatChange::Divided) {
                         space.frame.position = *place;
                     }
                 }
             }
-            self.carry(first, &spaces, exec.pool);
+            self.carry(own[0] as usize, &spaces, exec.pool);
         }
         Ok(())
-    }
-
-    /// Those of these splats that are larger than the bend around them.
-    fn larger_than_bend(
-        &self,
-        asked: &[u32],
-        carrier: &SurfaceCarrier,
-        stretch: &SurfaceStretch,
-        exec: &Exec<'_>,
-    ) -> Result<Vec<u32>, Cancelled> {
-        let small = SMALL * carrier.diagonal();
-        let half = |splat: u32| self.longest_axis(splat as usize) * SPLAT_END;
-        let large: Vec<u32> = asked
-            .iter()
-            .copied()
-            .filter(|&splat| half(splat).length() > small)
-            .collect();
-        let mut bent = Vec::new();
-        for large in large.chunks(SPLATS_AT_ONCE) {
-            let centers: Vec<DVec3> = large.iter().map(|&splat| self.centers()[splat as usize]).collect();
-            let spaces = carrier.carry_spaces(stretch, &centers, exec)?;
-            let ends = large.iter().zip(&centers);
-            let ends: Vec<DVec3> = ends
-                .flat_map(|(&splat, &c)| [c + half(splat), c - half(splat)])
-                .collect();
-            let ends = carrier.carry_points(&ends, exec)?;
-            for ((&splat, space), ends) in large.iter().zip(&spaces).zip(ends.as_chunks::<2>().0) {
-                let now = space.gradient * half(splat);
-                let miss = |end: DVec3, offset: DVec3| end.distance(space.frame.position + offset);
-                let miss = miss(ends[0].position, now).max(miss(ends[1].position, -now));
-                if miss > BENT * now.length() {
-                    bent.push(splat);
-                }
-            }
-        }
-        Ok(bent)
     }
 
     /// Divides splats, whose numbers rise, into three along their longest axis each. Answers which splat each was, and the numbers of
@@ -174,5 +142,63 @@ impl Splats {
         let opaque = share / (1.0 + libm::exp(-f64::from(*opacity)));
         *opacity = libm::log(opaque / (1.0 - opaque)) as f32;
         self.changes[splat] = SplatChange::Divided;
+    }
+}
+
+/// What carries splats along.
+struct CarriedAlong<'a> {
+    carrier: &'a SurfaceCarrier,
+    stretch: SurfaceStretch,
+    /// The centres that there were at first, bound to the surface.
+    bound: Option<&'a CarriedPoints>,
+    exec: &'a Exec<'a>,
+}
+
+impl CarriedAlong<'_> {
+    /// How space has moved around splats of these numbers; `of_given` has the number that each had at first.
+    fn spaces(&self, splats: &Splats, numbers: &[u32], of_given: &[u32]) -> Result<Vec<CarriedSpace>, Cancelled> {
+        let Self {
+            carrier, stretch, exec, ..
+        } = self;
+        let is_part = |number: u32| splats.changes[number as usize] == SplatChange::Divided;
+        let center = |number: u32| splats.centers()[number as usize];
+        let Some(bound) = self.bound else {
+            let centers: Vec<DVec3> = numbers.iter().map(|&number| center(number)).collect();
+            return carrier.carry_spaces(stretch, &centers, exec);
+        };
+        let whole = numbers.iter().filter(|&&number| !is_part(number));
+        let whole: Vec<u32> = whole.map(|&number| of_given[number as usize]).collect();
+        let parts = numbers.iter().filter(|&&number| is_part(number));
+        let parts: Vec<DVec3> = parts.map(|&number| center(number)).collect();
+        let mut whole = bound.spaces_along(&whole, carrier, stretch, exec)?.into_iter();
+        let mut parts = carrier.carry_spaces(stretch, &parts, exec)?.into_iter();
+        let next = |number: &u32| if is_part(*number) { parts.next() } else { whole.next() };
+        Ok(numbers.iter().filter_map(next).collect())
+    }
+
+    /// Those of these splats that are larger than the bend around them.
+    fn larger_than_bend(&self, splats: &Splats, asked: &[u32], of_given: &[u32]) -> Result<Vec<u32>, Cancelled> {
+        let small = SMALL * self.carrier.diagonal();
+        let half = |splat: u32| splats.longest_axis(splat as usize) * SPLAT_END;
+        let large = asked.iter().copied().filter(|&splat| half(splat).length() > small);
+        let large: Vec<u32> = large.collect();
+        let mut bent = Vec::new();
+        for large in large.chunks(SPLATS_AT_ONCE) {
+            let spaces = self.spaces(splats, large, of_given)?;
+            let ends = large.iter().flat_map(|&splat| {
+                let center = splats.centers()[splat as usize];
+                [center + half(splat), center - half(splat)]
+            });
+            let ends = self.carrier.carry_points(&ends.collect::<Vec<_>>(), self.exec)?;
+            for ((&splat, space), ends) in large.iter().zip(&spaces).zip(ends.as_chunks::<2>().0) {
+                let now = space.gradient * half(splat);
+                let miss = |end: DVec3, offset: DVec3| end.distance(space.frame.position + offset);
+                let miss = miss(ends[0].position, now).max(miss(ends[1].position, -now));
+                if miss > BENT * now.length() {
+                    bent.push(splat);
+                }
+            }
+        }
+        Ok(bent)
     }
 }

@@ -309,7 +309,8 @@ pub(super) fn build(splats: &Splats) -> Result<Vec<u8>, Error> {
         }
         let (shape, look) = (&splats.shapes[row], &splats.looks[row]);
         let normal = splats.normals.get(row).copied().unwrap_or(Vec3::ZERO);
-        let [x, y, z, w] = shape.turn;
+        // One that is none is written as none.
+        let [x, y, z, w] = shape.turn.map(|part| if part.is_finite() { part } else { 0.0 });
         let harmonics = &splats.harmonics[row * width..(row + 1) * width];
         let numbers = normal
             .to_array()

@@ -1,5 +1,6 @@
+use super::cloud::SplatShape;
 use super::*;
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec3, Vec3};
 use pliant_exec::pool::Pool;
 use pliant_exec::progress::Silent;
 use pliant_mesh::carry::{CarriedFrame, CarriedSpace};
@@ -317,4 +318,70 @@ fn files_that_lie_are_refused_and_numbers_that_are_none_are_told() {
         0,
     );
     assert!((turned.y_axis.y - 1.0).abs() < 1e-6 && turned.x_axis.x < 1e-12 && (turned.z_axis.z - 0.25).abs() < 1e-6);
+}
+
+#[test]
+fn conversions_tell_what_they_lose_and_keep_the_scales_of_splats_without_a_rotation() {
+    let mut splats = read("a.ply", ply_of(3, 1)).expect("read");
+    splats.normals = vec![Vec3::X; 3];
+    splats.looks[0].colour = [9.0; 3];
+    splats.shapes[1] = SplatShape::new([0.0; 4], [-2.0, -3.0, -4.0]);
+    splats.harmonics[2 * 9] = 3.0;
+    for (format, name, clamped) in [
+        (Format::SPLAT, "b.splat", "1 splat has"),
+        (Format::SPZ, "b.spz", "2 splats have"),
+    ] {
+        let written = splats.write(format).expect("written");
+        let message = |code: &str| {
+            let found = written.warnings.iter().find(|w| w.code == code);
+            found.map(|w| w.message.clone()).unwrap_or_default()
+        };
+        assert!(message("splats-clamped").starts_with(clamped), "{written:?}");
+        assert!(message("left-out").contains("normals"), "{written:?}");
+        let again = read(name, written.main).expect("readable");
+        for (scale, wanted) in again.shapes[1].log_scale.into_iter().zip([-2.0, -3.0, -4.0]) {
+            assert!((scale - wanted).abs() < 1e-4, "{format} {scale}");
+        }
+        // What comes back in its own format has lost its colours already.
+        let turned = moved(&again, DMat3::from_rotation_z(0.5), DVec3::X)
+            .write(format)
+            .expect("written");
+        assert!(
+            turned.warnings.iter().all(|w| w.code == "splats-unsound") || format == Format::SPZ,
+            "{turned:?}"
+        );
+    }
+    let again = read("c.ply", splats.write(Format::PLY).expect("written").main).expect("readable");
+    assert!(
+        again
+            .shapes
+            .iter()
+            .all(|shape| shape.log_scale.iter().all(|s| s.is_finite()))
+    );
+}
+
+#[test]
+fn a_file_of_some_of_its_splats_has_their_rows_and_all_else() {
+    let whole = read("a.ply", ply_of(4, 1)).expect("read");
+    let end = b"element tail 1\nproperty uchar t\nend_header\n";
+    let file = ply_of(4, 1);
+    let at = file.windows(11).position(|w| w == b"end_header\n").expect("there");
+    let mut file = [&file[..at], &end[..], &file[at + 11..]].concat();
+    file.push(77);
+    let packed = whole.write(Format::SPZ).expect("written").main;
+    let records = whole.write(Format::SPLAT).expect("written").main;
+    for (name, file) in [("a.ply", file), ("a.spz", packed), ("a.splat", records)] {
+        let splats = read(name, file).expect("read");
+        let some = splats.kept(&[3, 1, 1]);
+        let written = some.write(splats.format).expect("written").main;
+        assert!(name != "a.ply" || written.last() == Some(&77));
+        let again = read(name, written).expect("readable");
+        assert_eq!(again.len(), 3);
+        for (own, was) in [3, 1, 1].into_iter().enumerate() {
+            assert_eq!(again.centers[own], splats.centers[was], "{name}");
+            assert_eq!(again.shapes[own], splats.shapes[was]);
+            assert_eq!(again.looks[own], splats.looks[was]);
+        }
+        assert_eq!(again.harmonics, some.harmonics);
+    }
 }

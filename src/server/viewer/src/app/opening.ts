@@ -34,7 +34,7 @@ const token = keptToken();
 export const client = new Client({ askToken, ...(token === undefined ? {} : { token }) });
 
 /** Extensions that name a model; other files dropped with it are its companions. */
-export const EXTENSIONS = ["glb", "vrm", "gltf", "obj", "ply", "off", "stl", "3mf", "fbx"] as const;
+export const EXTENSIONS = ["glb", "vrm", "gltf", "obj", "ply", "off", "stl", "3mf", "fbx", "splat", "spz"] as const;
 
 /** Where the open model came from. */
 type Source = Pick<Kept, "name" | "model" | "companions" | "sample">;
