@@ -44,6 +44,7 @@ class Session(Face, Declared):
     crossings = blocking(aio.Session.crossings)
     make_rig = blocking(aio.Session.make_rig)
     edit = blocking(aio.Session.edit)
+    wrap = blocking(aio.Session.wrap)
     undo = blocking(aio.Session.undo)
     redo = blocking(aio.Session.redo)
     history = blocking(aio.Session.history)

@@ -8,6 +8,7 @@ import {
   CrossingsRequestSchema,
   CrossingsResponseSchema,
   EditRequestSchema,
+  EditRequest_WrapSchema,
   EditResultSchema,
   HandleSchema,
   HistoryResponseSchema,
@@ -42,6 +43,9 @@ export type SetHandles = Omit<MessageInitShape<typeof SetHandlesRequestSchema>, 
   regionOfInterest?: RegionLike;
 };
 export type Edit = Omit<MessageInitShape<typeof EditRequestSchema>, "sessionId" | "$typeName">;
+
+/** How a model is wrapped onto another one. */
+export type WrapOptions = Omit<MessageInitShape<typeof EditRequest_WrapSchema>, "target" | "$typeName">;
 
 /** Fields of a handle that can be cleared. */
 export type HandleField = "constrains" | "stiffness" | "rigid" | "pose" | "falloff";
@@ -187,6 +191,16 @@ export class Session {
     const result = await this.transport.message(EditResultSchema, "POST", this.path("/edits"), { ...call, json });
     this.known = Math.max(this.known, Number(result.revision));
     return result;
+  }
+
+  /**
+   * Moves all vertices so that the surface lies on that of a model file, or of another session: topology, texture coordinates, rig and
+   * morph targets follow. One commit. `wrap` of the result says how well it lies.
+   */
+  wrap(target: Uint8Array | { session: string }, options: WrapOptions = {}, call: CallOptions = {}): Promise<EditResult> {
+    const isFile = target instanceof Uint8Array;
+    const source = isFile ? { case: "model" as const, value: target } : { case: "session" as const, value: target.session };
+    return this.edit({ operation: { case: "wrap", value: { ...options, target: source } } }, call);
   }
 
   /**

@@ -8,6 +8,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Union
 
+import os
+
 import numpy as np
 from typing_extensions import Unpack
 
@@ -236,7 +238,7 @@ class Session(Declared):
         self, *, on: Literal["current", "rest"] = "current", **operation: Unpack[edits.EditFields]
     ) -> edits.EditResult:
         """Changes the topology: one of ``cut``, ``subdivide``, ``decimate``, ``delete``, ``fill``, ``remesh``, ``smooth``,
-        ``merge``, ``insert_curve`` and ``weld``.
+        ``merge``, ``wrap``, ``insert_curve`` and ``weld``.
 
         Afterwards ``vertices`` and ``info`` are new, and streams have to be opened again.
         """
@@ -245,6 +247,21 @@ class Session(Declared):
         done = edits.result(await self._calls.one("Edit", request, keyed=True))
         self._books.edited(await self._calls.one("GetSession", self._named()))
         return done
+
+    async def wrap(
+        self,
+        target: str | os.PathLike[str] | bytes | None = None,
+        *,
+        session: str = "",
+        on: Literal["current", "rest"] = "current",
+        **settings: Any,
+    ) -> edits.EditResult:
+        """Moves all vertices so that the surface lies on that of `target`, a file or its bytes, or on the shape of another
+        session; topology, texture coordinates, rig and morph targets follow. One commit. `settings` are those of
+        ``edit(wrap=...)``: ``landmarks``, ``mask``, ``in_place``, ``format``. ``wrap`` of the result says how well it lies.
+        """
+        source: dict[str, Any] = {"session": session} if session else {"model": target}
+        return await self.edit(on=on, wrap={**source, **settings})  # type: ignore[typeddict-item]
 
     async def undo(self) -> pb.Session:
         """Goes back by one commit; positions return bit for bit."""
