@@ -183,6 +183,8 @@ impl<'a> WrapFit<'a> {
 
     /// Where the corners that landmarks are between are wanted: moved as their landmark has to.
     fn anchors(&self, stiffness: f64) -> Vec<Wanted> {
+        // Of a coarse template each vertex stands for much area, and closest points pull it more than one landmark should be pulled.
+        let stiffness = stiffness * f64::max(1.0, SHARES / self.now.len() as f64);
         let nodes = &self.solver.anchored;
         let mut sums = vec![Wanted::default(); nodes.len()];
         for landmark in self.task.landmarks {
