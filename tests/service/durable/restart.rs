@@ -35,6 +35,8 @@ async fn everything_is_as_it_was_after_a_crash(place: StorePlace) {
     turn(&server, &id, 0.4).await;
     turn(&server, &id, 0.8).await;
     server.done("POST", &path(&id, "/edits"), Some(&cut())).await;
+    let wrap = json!({"wrap": {"model": base64(&bar_obj(7)), "inPlace": true, "landmarks": [{"ownVertex": 0, "targetVertex": 0}]}});
+    server.done("POST", &path(&id, "/edits"), Some(&wrap)).await;
     let merge = json!({"merge": {"model": base64(&bar_obj(6)), "how": "LOOSE",
         "transform": [1,0,0,0, 0,1,0,0, 0,0,1,0, 5,0,0,1]}});
     server.done("POST", &path(&id, "/edits"), Some(&merge)).await;
