@@ -63,12 +63,12 @@ async fn everything_is_as_it_was_after_a_crash(place: StorePlace) {
     // The way back is the same on a server that was never stopped, bit for bit, and so is the way on.
     let redone = server.done("POST", &path(&id, "/redo"), None).await;
     let back = digests_back(&server, &id).await;
-    assert_eq!(back.len(), 8, "{redone}");
+    assert_eq!(back.len(), 9, "{redone}");
     server.kill();
     let again = place.start(&[]);
     let history = again.done("GET", &path(&id, "/history"), None).await;
     assert_eq!(history["commits"], before.1["commits"], "undone, not gone");
-    for _ in 0..8 {
+    for _ in 0..9 {
         again.done("POST", &path(&id, "/redo"), None).await;
     }
     assert_eq!(
