@@ -1,9 +1,9 @@
 //! The fit itself: targets that follow the closest points, pulled harder from level to level.
 
-use super::WrapTask;
-use super::place::smooth_normals;
+use super::normals::smooth_normals;
 use super::queries::answers;
 use super::target::TargetSurface;
+use super::task::WrapTask;
 use super::two_way::pulls_from_target;
 use crate::deform::{
     BodyOptions, DeformableBody, HandleConstraint, HandleSetup, HandleSystem, HoldTargets, PoseRequest, Quality,
