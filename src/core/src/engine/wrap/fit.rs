@@ -19,7 +19,7 @@ use std::sync::OnceLock;
 /// What a share of 1/10000 of the template's area is pulled with, level by level.
 pub(super) const LEVELS: [f64; 5] = [0.02, 0.1, 0.4, 1.5, 6.0];
 const SHARES: f64 = 10_000.0;
-/// Steps of a level: each finds closest points anew.
+/// Steps of a level: each finds closest points again.
 pub(super) const STEPS: usize = 4;
 /// What a landmark is pulled with before the first level and at it, and at the last one.
 const LANDMARKS: [f64; 2] = [20.0, 8.0];

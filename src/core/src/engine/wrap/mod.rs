@@ -4,22 +4,22 @@
 //!
 //! `surface` makes a `task` of what is asked for, `run` does it: a `similarity` puts the target over the template, by landmarks or by the shapes (`place`). `fit` solves for landmarks alone, and then for closest
 //! points, pulled harder from level to level; `target` says which of them count, `visible` what can be seen, `two_way` what of
-//! the target pulls the template. `told` measures.
+//! the target pulls the template. `report` measures.
 
 mod command;
 mod fit;
 mod normals;
 mod place;
 mod queries;
+mod report;
 mod run;
 mod similarity;
 mod surface;
 mod target;
 mod task;
-mod told;
 mod two_way;
 mod visible;
 
 pub use command::{LandmarkPlace, WrapCommand, WrapLandmark};
+pub use report::{WrapDistances, WrapReport};
 pub(super) use surface::SurfaceWrapping;
-pub use told::{WrapDistances, WrapReport};

@@ -3,10 +3,10 @@
 use super::fit::WrapFit;
 use super::normals::smooth_normals;
 use super::place::place_by_shapes;
+use super::report::{Told, WrapReport};
 use super::similarity::{PlacePair, Similarity};
 use super::target::TargetSurface;
 use super::task::{LandmarkPair, WrapTask};
-use super::told::{Told, WrapReport};
 use super::visible::seen_vertices;
 use crate::engine::error::Error;
 use crate::exec::Exec;
