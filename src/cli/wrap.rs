@@ -36,6 +36,9 @@ pub struct WrapArgs {
     /// Landmarks: a JSON list of {"template": PLACE, "target": PLACE}, where a place is a vertex number or [x, y, z]
     #[arg(long, value_name = "FILE")]
     landmarks: Option<PathBuf>,
+    /// What of the model the target does not pull: a region as JSON, as jobs have it
+    #[arg(long, value_name = "FILE")]
+    mask: Option<PathBuf>,
     /// Leave the result in the place and of the size of the model; without, it is where the target is
     #[arg(long)]
     in_place: bool,
@@ -121,7 +124,12 @@ impl WrapArgs {
             Some(path) => landmarks_from_json(&read_file(path)?).map_err(|e| in_file(path, e))?,
             None => Vec::new(),
         };
+        let mask = match &self.mask {
+            Some(path) => Some(wire::json::from_json::<pb::Region>(&read_file(path)?).map_err(|e| in_file(path, e))?),
+            None => None,
+        };
         let mut wrap = Wrap {
+            mask,
             target: Some(wrap::Target::Model(target.into())),
             landmarks,
             in_place: self.in_place,
@@ -135,7 +143,17 @@ impl WrapArgs {
         let step = pb::Step {
             step: Some(pb::step::Step::Edit(edit)),
         };
+        // A wrap solves on the surface; nodes inside would be built twice for nothing.
+        let volume_graph = pb::create_options::VolumeGraph {
+            mode: pb::create_options::volume_graph::Mode::Off.into(),
+            ..pb::create_options::VolumeGraph::default()
+        };
+        let create = pb::CreateOptions {
+            volume_graph: Some(volume_graph),
+            ..pb::CreateOptions::default()
+        };
         Ok(pb::Job {
+            create: Some(create),
             steps: vec![step],
             ..pb::Job::default()
         })
@@ -176,7 +194,7 @@ impl WrapArgs {
             shapes: shapes.collect(),
             views: &self.view.directions(self.up)?,
             size: PictureSize::new(SIDES[0], SIDES[1])?,
-            columns: None,
+            columns: Some(3),
             fits_each: true,
             key: None,
         };

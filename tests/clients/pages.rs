@@ -15,7 +15,7 @@ use std::path::Path;
 use std::process::Command;
 
 /// Every page for users that has no test of its own.
-const PAGES: [&str; 25] = [
+const PAGES: [&str; 26] = [
     "README.md",
     "CONTRIBUTING.md",
     "deploy/README.md",
@@ -41,6 +41,7 @@ const PAGES: [&str; 25] = [
     "deploy/docs/nodes.md",
     "deploy/docs/other-languages.md",
     "deploy/docs/troubleshooting.md",
+    "deploy/docs/wrap.md",
 ];
 
 fn read(name: &str) -> String {
@@ -115,6 +116,14 @@ fn command_line() {
     let checkout = play("deploy/docs/command-line.md");
     if checkout.path("target/turned.glb").exists() {
         assert!(checkout.path("target/turned.png").exists(), "the picture is drawn");
+    }
+}
+
+#[test]
+fn wrap() {
+    let checkout = play("deploy/docs/wrap.md");
+    if checkout.path("target/led.glb").exists() {
+        shows_what_it_draws(&checkout, &[("wrapped", "wrapped")]);
     }
 }
 

@@ -7,7 +7,7 @@ use pliant::deform::VolumeMode;
 use pliant::edit::{KeptSide, SubdivisionScheme};
 use pliant::engine::{
     CutLine, DefaultPivot, Deformer, DeformerLimits, Edit, Error, Falloff, FalloffCurve, Handle, HandleConstrains,
-    HandlePose, HandleScale, HandleSet, MergeJoin, Method, ModelMerge, OpenOptions, Plane, Quality, Region,
+    HandlePose, HandleScale, HandleSet, MergeJoin, Method, ModelMerge, OpenOptions, OtherModel, Plane, Quality, Region,
     RemeshCommand, SmoothCommand, SmoothKind, SolveSettings, Stiff, digest,
 };
 use pliant::exec::Exec;
@@ -269,13 +269,14 @@ fn merge(draw: &mut ByteDraw<'_>) -> ModelMerge {
         draw.vector().extend(1.0),
     );
     ModelMerge {
-        files: if draw.flag() {
-            box_of_cells([1, 2, 1])
-        } else {
-            FileSet::single("odd.off", draw.0.to_vec())
+        other: OtherModel {
+            files: if draw.flag() {
+                box_of_cells([1, 2, 1])
+            } else {
+                FileSet::single("odd.off", draw.0.to_vec())
+            },
+            ..OtherModel::default()
         },
-        from_session: false,
-        format: None,
         own_from_other,
         join: [MergeJoin::Loose, MergeJoin::Weld, MergeJoin::Stitch][draw.below(3)],
         tolerance: draw.flag().then(|| draw.number()),

@@ -35,6 +35,8 @@ async fn everything_is_as_it_was_after_a_crash(place: StorePlace) {
     turn(&server, &id, 0.4).await;
     turn(&server, &id, 0.8).await;
     server.done("POST", &path(&id, "/edits"), Some(&cut())).await;
+    let wrap = json!({"wrap": {"model": base64(&bar_obj(7)), "inPlace": true, "landmarks": [{"ownVertex": 0, "targetVertex": 0}]}});
+    server.done("POST", &path(&id, "/edits"), Some(&wrap)).await;
     let merge = json!({"merge": {"model": base64(&bar_obj(6)), "how": "LOOSE",
         "transform": [1,0,0,0, 0,1,0,0, 0,0,1,0, 5,0,0,1]}});
     server.done("POST", &path(&id, "/edits"), Some(&merge)).await;
@@ -61,12 +63,12 @@ async fn everything_is_as_it_was_after_a_crash(place: StorePlace) {
     // The way back is the same on a server that was never stopped, bit for bit, and so is the way on.
     let redone = server.done("POST", &path(&id, "/redo"), None).await;
     let back = digests_back(&server, &id).await;
-    assert_eq!(back.len(), 8, "{redone}");
+    assert_eq!(back.len(), 9, "{redone}");
     server.kill();
     let again = place.start(&[]);
     let history = again.done("GET", &path(&id, "/history"), None).await;
     assert_eq!(history["commits"], before.1["commits"], "undone, not gone");
-    for _ in 0..8 {
+    for _ in 0..9 {
         again.done("POST", &path(&id, "/redo"), None).await;
     }
     assert_eq!(

@@ -106,6 +106,33 @@ async fn an_edit_repeated_under_its_key_is_done_once() {
 }
 
 #[tokio::test]
+async fn a_session_is_wrapped_onto_the_shape_of_another_in_one_commit() {
+    let fixture = bent(small()).await;
+    let other = bent_in(&fixture.manager).await;
+    other.solve(turned(0.3)).await;
+    let (before, commits) = (fixture.digest().await, fixture.history().await.commits.len());
+    let wrap = |source: &str| edit_of(&format!(r#"{{"wrap": {{"session": "{source}"}}}}"#));
+    let result = fixture.edit(wrap(&other.id)).await;
+    let told = result.wrap.expect("a report").to_target.expect("distances");
+    assert!(told.p50 < 1e-3 && told.p95 < 1e-2, "{told:?}");
+    let shown = fixture.digest().await;
+    assert!(shown == result.digest && shown != before);
+    let history = fixture.history().await;
+    assert_eq!((history.commits.len(), history.current), (commits + 1, result.revision));
+    fixture.undo().await;
+    assert_eq!(fixture.digest().await, before);
+    fixture.redo().await;
+    assert_eq!(fixture.digest().await, result.digest);
+    let unknown = fixture.manager.edit(tenant(), &fixture.id, wrap("nobody"), None).await;
+    let unknown = unknown.expect_err("no such session");
+    assert_eq!(
+        (unknown.code, unknown.field.as_deref()),
+        (ErrorCode::NotFound, Some("wrap.session"))
+    );
+    assert_eq!(fixture.digest().await, result.digest);
+}
+
+#[tokio::test]
 async fn a_session_can_be_merged_with_another_of_its_tenant() {
     let fixture = bent(small()).await;
     let other = bent_in(&fixture.manager).await;

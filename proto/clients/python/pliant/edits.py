@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from base64 import b64decode
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Union
@@ -123,6 +123,21 @@ class Merge(TypedDict, total=False):
     format: str
 
 
+class Wrap(TypedDict, total=False):
+    """Moves all vertices so that the surface lies on that of another model: a file or its bytes, or another session by id."""
+
+    model: Union[str, os.PathLike[str], bytes]
+    session: str
+    #: Pairs (own, target) of vertex numbers or points (x, y, z), or dicts of the schema's fields.
+    landmarks: Sequence[Any]
+    #: What the target does not pull.
+    mask: Any
+    #: The result stays in the place and of the size of the model.
+    in_place: bool
+    #: Format of the model, where its bytes do not show it.
+    format: str
+
+
 class InsertCurve(TypedDict, total=False):
     """Inserts a polyline into the surface as edges."""
 
@@ -174,6 +189,7 @@ class EditFields(TypedDict, total=False):
     remesh: Remesh
     smooth: Smooth
     merge: Merge
+    wrap: Wrap
     insert_curve: InsertCurve
     weld: Weld
     clean: Clean
@@ -202,6 +218,8 @@ class EditResult:
     curve: list[int]
     #: Digest of the positions after it.
     digest: str
+    #: Of a wrap: how well the surface lies on the target.
+    wrap: pb.WrapReport | None = None
 
 
 OPERATIONS = tuple(EditFields.__annotations__)
@@ -276,13 +294,38 @@ def _fill(name: str, operation: Any, given: dict[str, Any], count: int | None) -
             operation.positions = b64decode(value) if isinstance(value, str) else float_points(key, value)
         elif key in ("path", "creases"):
             getattr(operation, key).extend(indices(key, np.ravel(value)).tolist())
-        elif key in ("model", "file") and name == "merge":
+        elif key == "mask":
+            operation.mask.CopyFrom(region(value, count))
+        elif key == "landmarks":
+            for own in value:
+                _landmark(operation.landmarks.add(), own)
+        elif key in ("model", "file") and name in ("merge", "wrap"):
             operation.model = value if isinstance(value, bytes) else Path(value).read_bytes()
         elif key in operation.DESCRIPTOR.fields_by_name:
             put(operation, key, value)
         else:
             own = ("normal", "offset") if name == "cut" else ()
             raise no_such_setting(key, (*operation.DESCRIPTOR.fields_by_name, *own))
+
+
+def _landmark(message: Any, given: Any) -> None:
+    """A pair (own, target), or a dict of the schema's fields."""
+    if isinstance(given, Mapping):
+        for key, value in given.items():
+            key = snake_case(key)
+            if key in ("own_point", "target_point"):
+                getattr(message, key).extend(array(key, value).astype(np.float64).ravel().tolist())
+            elif key in message.DESCRIPTOR.fields_by_name:
+                put(message, key, value)
+            else:
+                raise no_such_setting(key, tuple(message.DESCRIPTOR.fields_by_name))
+        return
+    own, target = given
+    for side, place in (("own", own), ("target", target)):
+        if isinstance(place, (int, np.integer)):
+            setattr(message, f"{side}_vertex", int(place))
+        else:
+            getattr(message, f"{side}_point").extend(array(side, place).astype(np.float64).ravel().tolist())
 
 
 _ENUMS: dict[str, Any] = {
@@ -309,4 +352,5 @@ def result(message: pb.EditResult) -> EditResult:
         now_from_before=now_from_before,
         curve=list(message.curve),
         digest=message.digest,
+        wrap=message.wrap if message.HasField("wrap") else None,
     )

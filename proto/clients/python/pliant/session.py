@@ -47,6 +47,7 @@ class Session(Face, Declared):
     make_rig = blocking(aio.Session.make_rig)
     edit = blocking(aio.Session.edit)
     adopt = blocking(aio.Session.adopt)
+    wrap = blocking(aio.Session.wrap)
     undo = blocking(aio.Session.undo)
     redo = blocking(aio.Session.redo)
     history = blocking(aio.Session.history)

@@ -10,6 +10,7 @@ import {
   type EditRequest_AdoptSchema,
   EditRequest_On,
   EditRequestSchema,
+  EditRequest_WrapSchema,
   EditResultSchema,
   HandleSchema,
   HistoryResponseSchema,
@@ -46,6 +47,9 @@ export type SetHandles = Omit<MessageInitShape<typeof SetHandlesRequestSchema>, 
   regionOfInterest?: RegionLike;
 };
 export type Edit = Omit<MessageInitShape<typeof EditRequestSchema>, "sessionId" | "$typeName">;
+
+/** How a model is wrapped onto another one. */
+export type WrapOptions = Omit<MessageInitShape<typeof EditRequest_WrapSchema>, "target" | "$typeName">;
 
 /** Fields of a handle that can be cleared. */
 export type HandleField = "constrains" | "stiffness" | "rigid" | "pose" | "falloff";
@@ -208,6 +212,16 @@ export class Session {
     }
     const first = Math.max(0, Math.ceil(positions.length / part) - 1) * part;
     return edit({ positions: littleEndian(positions.subarray(first)), first: first / 3 });
+  }
+
+  /**
+   * Moves all vertices so that the surface lies on that of a model file, or of another session: topology, texture coordinates, rig and
+   * morph targets follow. One commit. `wrap` of the result says how well it lies.
+   */
+  wrap(target: Uint8Array | { session: string }, options: WrapOptions = {}, call: CallOptions = {}): Promise<EditResult> {
+    const isFile = target instanceof Uint8Array;
+    const source = isFile ? { case: "model" as const, value: target } : { case: "session" as const, value: target.session };
+    return this.edit({ operation: { case: "wrap", value: { ...options, target: source } } }, call);
   }
 
   /**

@@ -16,10 +16,9 @@ export interface Topology {
   readonly indices: Uint32Array<ArrayBuffer>;
 }
 
-<<<<<<< HEAD:proto/clients/typescript/src/topology.ts
 /** The format in which the server writes the triangles of such a model anew. */
 export function topologyFormat(opened: string | undefined): "glb" | "ply" {
-  return opened === "ply" ? "glb" : "ply";
+  return ["ply", "splat", "spz"].includes(opened ?? "") ? "glb" : "ply";
 }
 
 /** Reads such a file. */
@@ -27,33 +26,12 @@ export function readTopology(bytes: ArrayBuffer, origin: Vector): Topology {
   return new DataView(bytes).getUint32(0, true) === GLTF ? readGlb(bytes, origin) : readPly(bytes, origin);
 }
 
-const GLTF = 0x46546c67;
-=======
-/** Asks the server for the surface as it is now. */
-export async function loadTopology(session: Session, signal?: AbortSignal): Promise<Topology> {
-  const own = session.facts.model?.format ?? "";
-  const format = ["ply", "splat", "spz"].includes(own) ? "glb" : "ply";
-  const blob = await session.model(format, signal ? { signal } : {});
-  const bytes = await blob.arrayBuffer();
-  let topology = format === "ply" ? readPly(bytes, session.origin) : readGlb(bytes, session.origin);
-  const told = session.facts.model?.vertices ?? 0;
-  const first = session.facts.primitives[0];
-  if (first?.passenger && first.name === "splats" && format === "glb") {
-    topology = behindSplats(topology, await session.positions(signal ? { signal } : {}), first.vertexCount);
-  }
-  const seen = topology.positions.length / 3;
-  if (seen !== told) {
-    throw new Error(`the server reports ${told} vertices but sent ${seen}`);
-  }
-  return topology;
-}
-
 /** The surface around Gaussian splats, which the file has alone, behind their centres, as the session counts vertices. */
-function behindSplats(surface: Topology, positions: Float32Array<ArrayBuffer>, splats: number): Topology {
+export function behindSplats(surface: Topology, positions: Float32Array<ArrayBuffer>, splats: number): Topology {
   return { positions, normals: undefined, indices: surface.indices.map((vertex) => vertex + splats) };
 }
 
->>>>>>> w-A:src/server/viewer/src/model/topology.ts
+const GLTF = 0x46546c67;
 const SIZES: Record<string, number> = { double: 8, float: 4, uint: 4, int: 4, ushort: 2, short: 2, uchar: 1, char: 1 };
 
 /** Reads the binary PLY that the server writes: scalar vertex properties, one index list per face. */

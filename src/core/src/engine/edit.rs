@@ -56,17 +56,7 @@ impl Deformer {
             limits: self.room_limits(),
             rest: &rest.positions,
             near_origin: self.options.body.near_origin,
-            bend: self.handle_system().map(|handles| HandleBend {
-                handles,
-                mesh: &self.derived.mesh,
-                shape: &order.shape.positions,
-                turn: largest_turn(
-                    &self
-                        .transforms_in(&order.shape.positions, order.poses)
-                        .unwrap_or_default(),
-                ),
-                diagonal: self.diagonal(),
-            }),
+            bend: self.handle_bend(order),
             surface: &mut surface,
             origins: &mut origins,
             body: &self.options.body,
@@ -294,6 +284,21 @@ impl Deformer {
             next.state.reset();
         }
         *self = next;
+    }
+
+    /// What the handles in force do to the shape that is edited.
+    fn handle_bend<'a>(&'a self, order: &'a EditCommand<'_>) -> Option<HandleBend<'a>> {
+        let transforms = || {
+            self.transforms_in(&order.shape.positions, order.poses)
+                .unwrap_or_default()
+        };
+        self.handle_system().map(|handles| HandleBend {
+            handles,
+            mesh: &self.derived.mesh,
+            shape: &order.shape.positions,
+            turn: largest_turn(&transforms()),
+            diagonal: self.diagonal(),
+        })
     }
 
     /// What regions are resolved against in the shape that is edited.

@@ -180,6 +180,9 @@ fn every_edit_comes_back_as_it_was_asked_for() {
         r#"{"merge": {"session": "x", "how": "STITCH", "transform": [1,0,0,0, 0,2,0,0, 0,0,3,0, 4,5,6,1]}}"#.into(),
         r#"{"insertCurve": {"points": [0, 0, 0, 1, 0, 0], "closed": false}}"#.into(),
         r#"{"weld": {"tolerance": 0.001}}"#.into(),
+        r#"{"wrap": {"session": "x", "format": "off", "inPlace": true, "mask": {"sphere": {"center": [0, 0, 0], "radius": 1}}}}"#.into(),
+        r#"{"wrap": {"session": "x", "landmarks": [{"name": "nose", "ownVertex": 0, "targetPoint": [1, 2, 3]}, {"ownPoint": [0, 0, 1], "targetVertex": 7}]}}"#
+            .into(),
     ];
     for text in texts {
         let request: pb::EditRequest = crate::json::from_json(text.as_bytes()).expect(&text);

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import AsyncGenerator, AsyncIterable, AsyncIterator, Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import aclosing, suppress
 from pathlib import Path
@@ -253,7 +254,7 @@ class Session(Declared):
         self, *, on: Literal["current", "rest"] = "current", **operation: Unpack[edits.EditFields]
     ) -> edits.EditResult:
         """Changes the topology: one of ``cut``, ``subdivide``, ``decimate``, ``delete``, ``fill``, ``remesh``, ``smooth``,
-        ``merge``, ``insert_curve``, ``weld``, ``clean`` and ``adopt``.
+        ``merge``, ``wrap``, ``insert_curve``, ``weld``, ``clean`` and ``adopt``.
 
         Afterwards ``vertices`` and ``info`` are new, and streams have to be opened again.
         """
@@ -276,6 +277,21 @@ class Session(Declared):
             answer = await self._calls.one("Edit", request, keyed=True)
         self._books.edited(await self._calls.one("GetSession", self._named()))
         return edits.result(answer)
+
+    async def wrap(
+        self,
+        target: str | os.PathLike[str] | bytes | None = None,
+        *,
+        session: str = "",
+        on: Literal["current", "rest"] = "current",
+        **settings: Any,
+    ) -> edits.EditResult:
+        """Moves all vertices so that the surface lies on that of `target`, a file or its bytes, or on the shape of another
+        session; topology, texture coordinates, rig and morph targets follow. One commit. `settings` are those of
+        ``edit(wrap=...)``: ``landmarks``, ``mask``, ``in_place``, ``format``. ``wrap`` of the result says how well it lies.
+        """
+        source: dict[str, Any] = {"session": session} if session else {"model": target}
+        return await self.edit(on=on, wrap={**source, **settings})  # type: ignore[typeddict-item]
 
     async def undo(self) -> pb.Session:
         """Goes back by one commit; positions return bit for bit."""

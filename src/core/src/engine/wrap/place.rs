@@ -1,32 +1,15 @@
-//! Where the target stands over the template: a similarity, by landmarks or by the shapes themselves.
+//! Where the target stands over the template, found by the shapes of both.
 
+use super::normals::smooth_normals;
+use super::similarity::{PlacePair, Similarity};
 use super::target::{NO_NORMAL, TargetSurface};
 use crate::engine::error::Error;
 use crate::exec::Exec;
 use crate::graph::principal_axes;
+use crate::mesh::Mesh;
 use crate::mesh::query::TriangleBvh;
-use crate::mesh::rotation::{fit_rotation, outer_product};
-use crate::mesh::{Mesh, shading};
 use glam::{DMat3, DQuat, DVec3};
 
-/// Scaled, then turned, then moved.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Similarity {
-    scale: f64,
-    rotation: DQuat,
-    translation: DVec3,
-}
-
-/// Two places that belong together, and what they weigh.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct PlacePair {
-    pub from: DVec3,
-    pub to: DVec3,
-    pub weight: f64,
-}
-
-/// Landmarks whose second moment is a smaller share of the first are on a line, and say nothing of the turn about it.
-const ON_A_LINE: f64 = 1e-3;
 /// Points of each surface that are looked at for every way round, and for the best.
 const SAMPLES: usize = 250;
 const MORE_SAMPLES: usize = 1000;
@@ -40,111 +23,58 @@ const CAP: f64 = 0.1;
 /// How far the scale may go from that of the sizes.
 const SCALES: std::ops::RangeInclusive<f64> = 0.6..=1.7;
 
-impl Similarity {
-    /// Where a point goes.
-    pub fn apply(&self, p: DVec3) -> DVec3 {
-        self.rotation * (p * self.scale) + self.translation
-    }
-
-    /// How a direction turns.
-    pub fn turn(&self, direction: DVec3) -> DVec3 {
-        self.rotation * direction
-    }
-
-    /// The way back.
-    pub fn inverse(&self) -> Self {
-        let rotation = self.rotation.inverse();
-        let scale = 1.0 / self.scale;
-        Self {
+/// Takes the target to the template by the shapes of both, and by landmarks that are too few to say all: tries every way round
+/// of their principal axes, and as they stand, by fitting closest points of each on the other.
+///
+/// # Errors
+/// [`Error::Cancelled`].
+pub(super) fn place_by_shapes(
+    template: &Mesh,
+    target: &TargetSurface,
+    landmarks: &[PlacePair],
+    exec: &Exec<'_>,
+) -> Result<Similarity, Error> {
+    let own = SampledSurface::of(template, exec);
+    let other = SampledSurface::of_target(target, exec);
+    let (own_axes, other_axes) = (principal_axes(template), principal_axes(&target.mesh));
+    let scale = own.radius / other.radius;
+    let start = |turn: DMat3| {
+        let rotation = DQuat::from_mat3(&turn).normalize();
+        Similarity {
             scale,
             rotation,
-            translation: rotation * (self.translation * -scale),
+            translation: own.middle - rotation * (other.middle * scale),
         }
-    }
-
-    /// The one that takes the first places nearest to the second ones (Horn 1987); `None` where they leave the turn open.
-    pub fn of_pairs(pairs: &[PlacePair]) -> Option<Self> {
-        let whole: f64 = pairs.iter().map(|p| p.weight).sum();
-        let mean = |of: fn(&PlacePair) -> DVec3| pairs.iter().map(|p| of(p) * p.weight).sum::<DVec3>() / whole;
-        let (from, to) = (mean(|p| p.from), mean(|p| p.to));
-        let mut cross = DMat3::ZERO;
-        let (mut spread, mut squares) = (DMat3::ZERO, [0.0; 2]);
-        for pair in pairs {
-            let (a, b) = (pair.from - from, pair.to - to);
-            cross += outer_product(b, a) * pair.weight;
-            spread += outer_product(a, a) * pair.weight;
-            squares[0] += a.length_squared() * pair.weight;
-            squares[1] += b.length_squared() * pair.weight;
+    };
+    let ways = cube_turns()
+        .into_iter()
+        .map(|way| own_axes * way * other_axes.transpose());
+    let pairing = Pairing {
+        own: &own,
+        other: &other,
+        landmarks,
+        cap: CAP * template.bounds().diagonal(),
+        scale,
+    };
+    let (mut best, mut as_they_stand) = (None::<(f64, Similarity)>, f64::INFINITY);
+    for (k, turn) in std::iter::once(DMat3::IDENTITY).chain(ways).enumerate() {
+        exec.check()?;
+        let (found, score) = pairing.fit(start(turn), SAMPLES, FITS);
+        if k == 0 {
+            as_they_stand = score;
         }
-        // The sum of the principal minors is that of the products of two moments: 0 for places on a line.
-        let d = [0, 1, 2].map(|k| spread.col(k)[k]);
-        let minor = |i: usize, j: usize| d[i] * d[j] - spread.col(i)[j] * spread.col(i)[j];
-        let minors = minor(0, 1) + minor(1, 2) + minor(0, 2);
-        if !(squares[1] > 0.0 && minors > ON_A_LINE * squares[0] * squares[0]) {
-            return None;
-        }
-        let rotation = fit_rotation(cross);
-        let scale = (squares[1] / squares[0]).sqrt();
-        Some(Self {
-            scale,
-            rotation,
-            translation: to - rotation * (from * scale),
-        })
-    }
-
-    /// Takes the target to the template by the shapes of both, and by landmarks that are too few to say all: tries every way round
-    /// of their principal axes, and as they stand, by fitting closest points of each on the other.
-    ///
-    /// # Errors
-    /// [`Error::Cancelled`].
-    pub fn of_shapes(
-        template: &Mesh,
-        target: &TargetSurface,
-        landmarks: &[PlacePair],
-        exec: &Exec<'_>,
-    ) -> Result<Self, Error> {
-        let own = SampledSurface::of(template, exec);
-        let other = SampledSurface::of_target(target, exec);
-        let (own_axes, other_axes) = (principal_axes(template), principal_axes(&target.mesh));
-        let scale = own.radius / other.radius;
-        let start = |turn: DMat3| {
-            let rotation = DQuat::from_mat3(&turn).normalize();
-            Self {
-                scale,
-                rotation,
-                translation: own.middle - rotation * (other.middle * scale),
-            }
+        // What is first stays, where others are little better.
+        let allowed = if best.is_some_and(|b| b.0 == as_they_stand) {
+            AS_THEY_STAND
+        } else {
+            1.0
         };
-        let ways = cube_turns()
-            .into_iter()
-            .map(|way| own_axes * way * other_axes.transpose());
-        let pairing = Pairing {
-            own: &own,
-            other: &other,
-            landmarks,
-            cap: CAP * template.bounds().diagonal(),
-            scale,
-        };
-        let (mut best, mut as_they_stand) = (None::<(f64, Self)>, f64::INFINITY);
-        for (k, turn) in std::iter::once(DMat3::IDENTITY).chain(ways).enumerate() {
-            exec.check()?;
-            let (found, score) = pairing.fit(start(turn), SAMPLES, FITS);
-            if k == 0 {
-                as_they_stand = score;
-            }
-            // What is first stays, where others are little better.
-            let allowed = if best.is_some_and(|b| b.0 == as_they_stand) {
-                AS_THEY_STAND
-            } else {
-                1.0
-            };
-            if best.is_none_or(|b| score * allowed < b.0) {
-                best = Some((score, found));
-            }
+        if best.is_none_or(|b| score * allowed < b.0) {
+            best = Some((score, found));
         }
-        let best = best.map_or(start(DMat3::IDENTITY), |b| b.1);
-        Ok(pairing.fit(best, MORE_SAMPLES, MORE_FITS).0)
     }
+    let best = best.map_or(start(DMat3::IDENTITY), |b| b.1);
+    Ok(pairing.fit(best, MORE_SAMPLES, MORE_FITS).0)
 }
 
 /// The 24 rotations that take the axes to the axes.
@@ -215,12 +145,6 @@ impl<'a> SampledSurface<'a> {
         let step = self.order.len().div_ceil(count).max(1);
         self.order.iter().step_by(step).map(|v| *v as usize)
     }
-}
-
-/// Unit normals by vertex; zero where there are none.
-pub(super) fn smooth_normals(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<DVec3> {
-    let normals = shading::smooth_normals(positions, triangles);
-    normals.into_iter().map(|n| n.as_dvec3().normalize_or_zero()).collect()
 }
 
 /// Finds pairs of closest points.

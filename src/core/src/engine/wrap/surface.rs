@@ -1,9 +1,10 @@
 //! From the surface of an edit to a wrap and back: vertices of files become points of surfaces.
 
 use super::command::{LandmarkPlace, WrapCommand};
+use super::report::WrapReport;
+use super::run::wrap;
 use super::target::barycentric;
-use super::told::WrapReport;
-use super::{LandmarkPair, WrapTask, wrap};
+use super::task::{LandmarkPair, WrapTask};
 use crate::deform::BodyOptions;
 use crate::edit::SurfaceView;
 use crate::engine::error::Error;

@@ -1,6 +1,7 @@
 //! The surface that a template is wrapped onto: what of it is seen, where it ends, and what is closest on it.
 
-use super::place::{Similarity, smooth_normals};
+use super::normals::smooth_normals;
+use super::similarity::Similarity;
 use super::visible::seen_vertices;
 use crate::engine::error::Error;
 use crate::exec::Exec;

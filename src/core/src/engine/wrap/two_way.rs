@@ -1,7 +1,7 @@
 //! Pulls from the target: what of it nothing of the template is near pulls the template's nearest vertices. Closest points alone never
 //! find a hump that the template has not.
 
-use super::place::smooth_normals;
+use super::normals::smooth_normals;
 use super::queries::answers;
 use super::target::TargetSurface;
 use crate::engine::error::Error;
