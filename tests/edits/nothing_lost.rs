@@ -15,9 +15,7 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
 /// Larger files take too long for a sweep.
-const LARGEST: u64 = 300_000;
-/// Files above this size go through one edit alone.
-const SMALL: u64 = 30_000;
+const LARGEST: u64 = 30_000;
 
 /// Extensions of how numbers are packed, which pliant writes as plain floats; and what other formats take of materials.
 const PACKINGS: [&str; 4] = [
@@ -144,13 +142,10 @@ fn every_element_and_extension_is_there_or_named() {
         let Ok(opened) = run(&json!({}), format) else { continue };
         let heights = || opened.positions.iter().map(|p| p.y);
         let middle = (heights().fold(f64::MAX, f64::min) + heights().fold(f64::MIN, f64::max)) / 2.0;
-        let jobs: Vec<Value> = match size <= SMALL {
-            true => std::iter::once(pose.clone())
-                .chain(edits.iter().map(edit))
-                .chain([cut(middle), json!({})])
-                .collect(),
-            false => vec![cut(middle)],
-        };
+        let jobs: Vec<Value> = std::iter::once(pose.clone())
+            .chain(edits.iter().map(edit))
+            .chain([cut(middle), json!({})])
+            .collect();
         let before = contents(&files.main, &companions_of(&files), format);
         let other = if format == Format::OBJ {
             Format::PLY
