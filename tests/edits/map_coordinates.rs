@@ -68,6 +68,9 @@ fn text_of(place: DVec3, format: Format) -> String {
     text
 }
 
+/// Edits that are looked at after a pose too.
+const MAP_EDITS: [&str; 2] = ["smooth", "insertCurve"];
+
 /// Every kind of step.
 fn jobs_at(place: DVec3) -> Vec<Value> {
     let pose = json!({"pose": {"handles": [{"id": "top", "pose": {
@@ -95,6 +98,12 @@ fn jobs_at(place: DVec3) -> Vec<Value> {
             .iter()
             .any(|kind| edit.get(kind).is_some())
     };
+    // A shape that was posed there, which has the rounding of its place.
+    let after = edits
+        .clone()
+        .into_iter()
+        .filter(|edit| MAP_EDITS.iter().any(|kind| edit.get(kind).is_some()));
+    let after: Vec<Value> = after.map(|edit| json!([pose.clone(), {"edit": edit}])).collect();
     let edited = edits.into_iter().map(|edit| match is_posed(&edit) {
         true => json!([{"edit": edit}, pose.clone()]),
         false => json!([{"edit": edit}]),
@@ -106,7 +115,7 @@ fn jobs_at(place: DVec3) -> Vec<Value> {
     ];
     let options = json!({"tolerance": 1e-6, "output": {"selfIntersections": true}});
     let job = |steps: Value| json!({"handles": handles.clone(), "steps": steps, "options": options.clone()});
-    steps.into_iter().chain(edited).map(job).collect()
+    steps.into_iter().chain(edited).chain(after).map(job).collect()
 }
 
 fn run(place: DVec3, job: &Value, format: Format, to: Format, exec: &Exec<'_>) -> BatchOutcome {

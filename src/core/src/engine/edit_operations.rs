@@ -142,8 +142,10 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
         Edit::Smooth(smooth) => plan_smoothing(context, smooth, exec)?,
         Edit::Merge(merge) => plan_merge(context, merge, exec)?,
         Edit::InsertCurve { points, closed } => {
-            let curve = SurfaceCurve::Drawn(points);
-            edit::insert_curve(&surface, &curve, *closed, progress)?
+            let offset = context.offset_from_origin();
+            let near: Vec<DVec3> = points.iter().map(|place| *place - offset).collect();
+            let curve = SurfaceCurve::Drawn(&near);
+            context.plan_near_origin(|surface| edit::insert_curve(surface, &curve, *closed, progress))?
         }
         Edit::Weld { tolerance } => plan_weld(context, *tolerance, exec)?,
         Edit::Clean(clean) => plan_cleaning(&surface, clean, exec)?,
@@ -163,10 +165,11 @@ impl EditContext<'_> {
         plan: impl FnOnce(&SurfaceView<'_>) -> Result<SurfacePatch, edit::Error>,
     ) -> Result<SurfacePatch, Error> {
         let surface = self.surface.surface();
-        let bounds = BoundingBox::of(surface.positions);
-        if !(self.near_origin && bounds.is_far()) {
+        let offset = self.offset_from_origin();
+        if offset == DVec3::ZERO {
             return Ok(plan(&surface)?);
         }
+        let bounds = BoundingBox::of(surface.positions);
         let positions = bounds.near_origin(surface.positions);
         let mut patch = plan(&SurfaceView {
             positions: &positions,
@@ -174,8 +177,17 @@ impl EditContext<'_> {
         })?;
         let moved = patch.moved.iter_mut().map(|(_, place)| place);
         let places = moved.chain(patch.vertices.iter_mut().map(|vertex| &mut vertex.position));
-        places.for_each(|place| *place += bounds.center());
+        places.for_each(|place| *place += offset);
         Ok(patch)
+    }
+
+    /// What places lose where they are planned near the origin; zero for surfaces that are there.
+    fn offset_from_origin(&self) -> DVec3 {
+        let bounds = BoundingBox::of(self.surface.surface().positions);
+        match self.near_origin && bounds.is_far() {
+            true => bounds.center(),
+            false => DVec3::ZERO,
+        }
     }
 
     /// Whether edges are hard where a cap meets a wall of each primitive: where it has normals.
@@ -298,16 +310,16 @@ fn plan_smoothing(
     exec: &Exec<'_>,
 ) -> Result<SurfacePatch, Error> {
     let faces = context.faces_in_region(smooth.region.as_ref(), EditKind::Smooth)?;
-    let (surface, progress) = (context.surface.surface(), exec.progress);
+    let progress = exec.progress;
     let options = |sharp_degrees: f64| SmoothOptions {
         iterations: smooth.iterations.unwrap_or(edit::SMOOTHINGS),
         strength: smooth.strength.unwrap_or(edit::SMOOTH_STRENGTH),
         sharp_degrees: smooth.sharp_degrees.unwrap_or(sharp_degrees),
     };
-    let mut patch = match smooth.kind {
-        SmoothKind::Smooth => edit::smooth_region(&surface, &faces, &options(180.0), progress)?,
-        SmoothKind::Relax => edit::relax_region(&surface, &faces, &options(edit::SHARP_DEGREES), progress)?,
-    };
+    let mut patch = context.plan_near_origin(|surface| match smooth.kind {
+        SmoothKind::Smooth => edit::smooth_region(surface, &faces, &options(180.0), progress),
+        SmoothKind::Relax => edit::relax_region(surface, &faces, &options(edit::SHARP_DEGREES), progress),
+    })?;
     (context.surface.seams).spread_blends(&mut patch, &context.surface.triangles);
     context.surface.follow_moves(&patch);
     Ok(patch)

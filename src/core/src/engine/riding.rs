@@ -19,8 +19,8 @@ const VISITS_PER_VERTEX: u64 = 8192;
 /// The same for any passengers: some seconds.
 const LEAST_VISITS: u64 = 1 << 31;
 /// The same for vertices in no triangle, which ride along without being asked to: a few seconds at most.
-const VISITS_PER_LOOSE_VERTEX: u64 = 128;
-const LEAST_LOOSE_VISITS: u64 = 1 << 24;
+pub(super) const VISITS_PER_LOOSE_VERTEX: u64 = 128;
+pub(super) const LEAST_LOOSE_VISITS: u64 = 1 << 24;
 /// Vertices after which what was looked at and what is held are counted.
 const BLOCK: usize = 512;
 

@@ -6,7 +6,7 @@
 use super::edit_command::EditKind;
 use super::error::Error;
 use super::facts::DeformerWarning;
-use super::riding::RidingModel;
+use super::riding::{LEAST_LOOSE_VISITS, RidingModel, VISITS_PER_LOOSE_VERTEX};
 use crate::edit::{CutPlane, EditWarning, NewVertex, PatchedSurface, SurfacePatch, SurfaceView};
 use crate::exec::Exec;
 use crate::mesh::query::TriangleBvh;
@@ -53,9 +53,13 @@ impl RiddenEdit<'_> {
         let (mut places, mut taken) = (Vec::new(), Vec::new());
         {
             let search = AnchorSearch::new(self, applied, exec);
+            let limit = LEAST_LOOSE_VISITS + VISITS_PER_LOOSE_VERTEX * loose.len() as u64;
             for (k, &vertex) in loose.iter().enumerate() {
                 if k.is_multiple_of(256) {
                     exec.check()?;
+                    if search.visits() > limit {
+                        return Ok(Some(too_long(loose.len())));
+                    }
                 }
                 let now = applied.vertex_from_old[vertex as usize];
                 match search.place_of(vertex) {
@@ -97,6 +101,15 @@ impl RiddenEdit<'_> {
         );
         (!taken.is_empty()).then(|| DeformerWarning::new("loose-vertices-stay", message, ""))
     }
+}
+
+/// What is said where finding what rides along takes too long: all of it stays, as a cloud is not torn.
+fn too_long(loose: usize) -> DeformerWarning {
+    let message = format!(
+        "{loose} vertices of points and lines, or in no triangle, stay where they are, because faces are as long as the model and \
+         finding the places under them takes too long; remesh the model to give it faces of about one size"
+    );
+    DeformerWarning::new("loose-vertices-stay", message, "")
 }
 
 /// Cuts lines beside the surface by a plane: what is beyond it goes, and a segment that crosses it ends there. `keeps_above` says
@@ -241,6 +254,11 @@ impl<'a> AnchorSearch<'a> {
             }
         }
         search
+    }
+
+    /// What long queries have looked at.
+    fn visits(&self) -> u64 {
+        self.before.visits.total() + self.after.get().map_or(0, |after| after.visits.total())
     }
 
     /// The old points that a vertex after the edit is blended from, with their weights.

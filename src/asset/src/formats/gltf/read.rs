@@ -127,6 +127,9 @@ fn read_document(
         reader.warn("chunk-length", message, format!("chunk at byte {at}"));
     }
     super::package::warn_of_missing(doc, files, &mut reader.geometry.warnings);
+    if let Some(message) = super::rig::avatar::places_beyond(doc) {
+        reader.warn("avatar-too-large", message, "extensions");
+    }
     let placements = &scene.placements;
     reader.add_placements(&scene, PrimitiveClass::Triangles)?;
     if watch.points_and_lines {

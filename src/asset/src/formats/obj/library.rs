@@ -6,6 +6,7 @@ use super::super::text::{NumberPrecision, TextLexer, number, push_number};
 use super::statements::{STYLE, name_in, printable};
 use crate::look::{AlphaMode, BaseLook, MaterialPicture, NamedMaterial, PicturePlacing, inside_folder};
 use crate::{FileSet, Geometry};
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -65,7 +66,7 @@ fn picture_names(text: &[u8], add: &mut impl FnMut(String)) {
 /// has.
 pub(super) fn warn_of_missing(files: &FileSet, geometry: &mut Geometry) {
     let (mut libraries, mut pictures, mut heights) = (BTreeSet::new(), BTreeSet::new(), BTreeSet::new());
-    let mut elsewhere = BTreeSet::new();
+    let (mut elsewhere, mut wild) = (BTreeSet::new(), BTreeSet::new());
     for names in library_lines(files).map(library_names) {
         let mut there = names.iter().filter_map(|name| files.companions.get(name)).peekable();
         // A line is one name with blanks, or several names: where one of them is there, the others are no more than guesses.
@@ -83,6 +84,9 @@ pub(super) fn warn_of_missing(files: &FileSet, geometry: &mut Geometry) {
             statements_of(text, |keyword, rest| {
                 let is_height = matches!(&keyword.to_ascii_lowercase()[..], "map_bump" | "bump");
                 heights.extend(picture_name(rest).filter(|name| is_height && files.companions.contains_key(name)));
+                wild.extend(
+                    picture_name(rest).filter(|_| matches!(keyword, "map_Kd" | "norm") && has_wild_placing(rest)),
+                );
             });
         }
     }
@@ -117,6 +121,12 @@ pub(super) fn warn_of_missing(files: &FileSet, geometry: &mut Geometry) {
         "mtllib",
     );
     warn(
+        "placing-ignored",
+        &wild,
+        "pictures with numbers behind -o or -s that are no numbers or beyond a million; other formats get 0 and 1 for them",
+        "mtllib",
+    );
+    warn(
         "image-missing",
         &pictures,
         "images that were not sent along with the model; it comes back without them",
@@ -147,12 +157,43 @@ fn normals_elsewhere(text: &[u8]) -> Vec<String> {
 
 /// Hands out the statements of a library: keyword and the rest of the line.
 fn statements_of(text: &[u8], mut statement: impl FnMut(&str, &str)) {
+    let text = &*as_utf8(text);
     let mut lexer = TextLexer::new(text, STYLE);
     while let Some(token) = lexer.token() {
         let keyword = String::from_utf8_lossy(lexer.text(token)).into_owned();
         let rest = lexer.rest_of_line();
         statement(&keyword, String::from_utf8_lossy(&text[rest]).trim());
         lexer.end_line();
+    }
+}
+
+/// A text of two or four bytes a letter, which some editors write, in UTF-8; others as they are.
+fn as_utf8(text: &[u8]) -> Cow<'_, [u8]> {
+    let of_letters = |letters: &mut dyn Iterator<Item = Option<char>>| -> Cow<'_, [u8]> {
+        let letters = letters.map(|letter| letter.unwrap_or(char::REPLACEMENT_CHARACTER));
+        Cow::Owned(
+            letters
+                .filter(|letter| *letter != '\u{feff}')
+                .collect::<String>()
+                .into_bytes(),
+        )
+    };
+    let in_fours = |read: fn([u8; 4]) -> u32| {
+        let units = text.as_chunks::<4>().0.iter();
+        of_letters(&mut units.map(|unit| char::from_u32(read(*unit))))
+    };
+    let in_pairs = |read: fn([u8; 2]) -> u16| {
+        let units = text.as_chunks::<2>().0.iter().map(|unit| read(*unit));
+        of_letters(&mut char::decode_utf16(units).map(Result::ok))
+    };
+    match text {
+        [0xff, 0xfe, 0, 0, ..] => in_fours(u32::from_le_bytes),
+        [0, 0, 0xfe, 0xff, ..] | [0, 0, 0, 1..=255, ..] => in_fours(u32::from_be_bytes),
+        // The mark is often left out; a library begins with a plain letter.
+        [1..=255, 0, 0, 0, ..] => in_fours(u32::from_le_bytes),
+        [0xff, 0xfe, ..] | [1..=255, 0, ..] => in_pairs(u16::from_le_bytes),
+        [0xfe, 0xff, ..] | [0, 1..=255, ..] => in_pairs(u16::from_be_bytes),
+        _ => Cow::Borrowed(text),
     }
 }
 
@@ -215,16 +256,25 @@ fn picture_of(rest: &str, files: &FileSet) -> Option<MaterialPicture> {
 /// Larger scales and offsets are taken as not given: nothing of a picture is left there.
 const LARGEST_PLACING: f64 = 1e6;
 
+/// The numbers behind an option of a statement, those that are too large among them.
+fn numbers_behind<'a>(rest: &'a str, option: &'static str) -> impl Iterator<Item = f64> + 'a {
+    let words = rest.split_whitespace().skip_while(move |word| *word != option).skip(1);
+    words.map_while(|word| number(word.as_bytes()))
+}
+
+/// Whether a statement places its picture by numbers that are not taken.
+fn has_wild_placing(rest: &str) -> bool {
+    let is_wild = |x: f64| x.is_nan() || x.abs() > LARGEST_PLACING;
+    ["-s", "-o"]
+        .into_iter()
+        .any(|option| numbers_behind(rest, option).take(2).any(is_wild))
+}
+
 /// Where texture coordinates lie on the picture that a statement names: `-s` scales them, then `-o` moves them.
 fn placing_of(rest: &str) -> PicturePlacing {
-    let pair = |option: &str, missing: f64| {
-        let mut words = rest.split_whitespace().skip_while(|word| *word != option).skip(1);
-        let mut next = || {
-            words
-                .next()
-                .and_then(|word| number(word.as_bytes()))
-                .filter(|x| x.abs() <= LARGEST_PLACING)
-        };
+    let pair = |option: &'static str, missing: f64| {
+        let mut numbers = numbers_behind(rest, option);
+        let mut next = || numbers.next().filter(|x| x.abs() <= LARGEST_PLACING);
         let first = next();
         [first.unwrap_or(missing), first.and_then(|_| next()).unwrap_or(missing)]
     };
@@ -303,7 +353,9 @@ fn read_library(text: &[u8], files: &FileSet, library: &mut MaterialLibrary) {
             }
             "map_Kd" => {
                 look.picture = picture_of(rest, files);
-                look.placing = placing_of(rest);
+                if look.picture.is_some() {
+                    look.placing = placing_of(rest);
+                }
             }
             "norm" => {
                 look.normals = picture_of(rest, files);

@@ -445,6 +445,43 @@ fn pictures_lie_where_their_options_say_in_every_format() {
     }
 }
 
+#[test]
+fn libraries_of_wide_letters_are_read_and_statements_without_a_name_place_nothing() {
+    let text = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl m\nf 1/1 2/2 3/3\n";
+    let library = "newmtl m\r\nKd 0.25 0.5 1\r\nmap_Kd -o 0.5 0.5\r\n";
+    let pairs: Vec<u16> = library.encode_utf16().collect();
+    let fours: Vec<u32> = library.chars().map(u32::from).collect();
+    let little = |mark: bool| {
+        [
+            if mark { &b"\xff\xfe"[..] } else { b"" },
+            &pairs.iter().flat_map(|u| u.to_le_bytes()).collect::<Vec<_>>(),
+        ]
+        .concat()
+    };
+    let big = [
+        &b"\xfe\xff"[..],
+        &pairs.iter().flat_map(|u| u.to_be_bytes()).collect::<Vec<_>>(),
+    ]
+    .concat();
+    let wide = [
+        &b"\xff\xfe\0\0"[..],
+        &fours.iter().flat_map(|u| u.to_le_bytes()).collect::<Vec<_>>(),
+    ]
+    .concat();
+    for bytes in [library.as_bytes().to_vec(), little(true), little(false), big, wide] {
+        let mut files = FileSet::single("a.obj", text);
+        files.companions.insert("a.mtl".into(), bytes.clone().into());
+        let model = Model::read(files, None, &Limits::default()).expect("valid");
+        let look = model.drawn().expect("a look").look;
+        assert_eq!(look.materials[0].factor, [0.25, 0.5, 1.0, 1.0], "{bytes:?}");
+        assert!(look.uv.first().is_none_or(|uv| *uv == [0.0, 1.0]), "{:?}", look.uv);
+    }
+    let wild = "newmtl m\nmap_Kd -s 1e9 1 a.png\n";
+    assert!(codes_of(text, Some(wild)).contains(&"placing-ignored".to_owned()));
+    let usual = "newmtl m\nmap_Kd -s 9 1 a.png\n";
+    assert!(!codes_of(text, Some(usual)).contains(&"placing-ignored".to_owned()));
+}
+
 /// The codes of what a text and its library are warned of.
 fn codes_of(text: &str, library: Option<&str>) -> Vec<String> {
     let mut files = FileSet::single("test.obj", text.to_owned());

@@ -1,8 +1,7 @@
 //! Objects of a 3MF that come from models of other formats, and packages of nothing else.
 
-use super::FORMAT;
 use super::model_text::{MATERIALS, MeshText, PartText, WrittenProperty, bytes_of, name_attribute};
-use super::package::pack;
+use super::package::{FORMAT, pack};
 use crate::formats::text::{NumberPrecision, push_number};
 use crate::look::MaterialPicture;
 use crate::neutral::{CAP_COLOUR, NeutralModel, NeutralPrimitive};

@@ -19,10 +19,11 @@ mod tests;
 mod words;
 mod write;
 
+pub(super) use package::FORMAT;
+
 use crate::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile};
 use crate::edited::{EditedModel, PrimitiveRun};
 use crate::files::{ReadWatch, counted};
-use crate::format::{FormatDetails, Recognition};
 use crate::neutral::{NeutralModel, RunPart};
 use crate::vertex_attributes::{AttributeKeys, hash_numbers};
 use crate::{Error, FileSet, Format, Model, WrittenFiles};
@@ -30,31 +31,6 @@ use glam::DVec3;
 use looks::UseProperties;
 use scene::PrintNotes;
 use std::sync::Arc;
-
-/// The format, by what it is known.
-pub(super) const FORMAT: Format = Format::new(&FormatDetails {
-    name: "3mf",
-    aliases: &[],
-    media_types: &[
-        "model/3mf",
-        "application/vnd.ms-package.3dmanufacturing-3dmodel+xml",
-        "application/3mf",
-    ],
-    recognise,
-});
-
-/// Bytes at the begin and at the end of an archive in which names of its parts are looked for.
-const SEARCHED: usize = 1 << 16;
-
-fn recognise(bytes: &[u8]) -> Recognition {
-    if !bytes.starts_with(b"PK\x03\x04") {
-        return Recognition::Unlikely;
-    }
-    let begin = &bytes[..bytes.len().min(SEARCHED)];
-    let end = &bytes[bytes.len().saturating_sub(SEARCHED)..];
-    let names_model = |part: &[u8]| part.windows(6).any(|word| word.eq_ignore_ascii_case(b".model"));
-    Recognition::mark(names_model(begin) || names_model(end))
-}
 
 /// Reads and writes 3MF.
 pub(super) struct ThreeMfCodec;

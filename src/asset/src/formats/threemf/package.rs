@@ -3,15 +3,40 @@
 //! Nothing is unpacked to a disk: names of parts are looked up in the archive and lead nowhere else. What a part unpacks to is reserved
 //! as it grows, and is refused where it is longer than the archive says.
 
-use super::FORMAT;
-use crate::Error;
 use crate::files::ReadWatch;
+use crate::format::{FormatDetails, Recognition};
+use crate::{Error, Format};
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Cursor, Read, Write};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipArchive, ZipWriter};
+
+/// The format, by what it is known.
+pub(in super::super) const FORMAT: Format = Format::new(&FormatDetails {
+    name: "3mf",
+    aliases: &[],
+    media_types: &[
+        "model/3mf",
+        "application/vnd.ms-package.3dmanufacturing-3dmodel+xml",
+        "application/3mf",
+    ],
+    recognise,
+});
+
+/// Bytes at the begin and at the end of an archive in which names of its parts are looked for.
+const SEARCHED: usize = 1 << 16;
+
+fn recognise(bytes: &[u8]) -> Recognition {
+    if !bytes.starts_with(b"PK\x03\x04") {
+        return Recognition::Unlikely;
+    }
+    let begin = &bytes[..bytes.len().min(SEARCHED)];
+    let end = &bytes[bytes.len().saturating_sub(SEARCHED)..];
+    let names_model = |part: &[u8]| part.windows(6).any(|word| word.eq_ignore_ascii_case(b".model"));
+    Recognition::mark(names_model(begin) || names_model(end))
+}
 
 /// Parts that a package may have.
 const MOST_PARTS: usize = 65_536;

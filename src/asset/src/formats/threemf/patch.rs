@@ -1,22 +1,18 @@
 //! A 3MF whose shape alone has changed: numbers of vertices that moved, in place.
 
-use super::FORMAT;
-use super::package::Package;
+use super::package::{FORMAT, Package};
 use super::part::read_part;
-use super::scene::{PrintNotes, unwritable, uses_of_objects};
+use super::scene::{PrintNotes, stale_parts, unwritable, uses_of_objects};
 use super::words::axis_of;
 use super::write;
 use crate::files::ReadWatch;
 use crate::formats::text::{NumberPrecision, TextPatch, push_number};
 use crate::model::{is_same, position_bits};
-use crate::{Error, Limits, Model, WrittenFiles, WrittenWarning};
+use crate::{Error, Limits, Model, WrittenFiles};
 use glam::{DAffine3, DVec3};
 use pliant_exec::progress::Silent;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
-
-/// Names that a warning lists.
-const MOST_LISTED: usize = 4;
 
 /// The package with the vertices at `positions`.
 pub(super) fn patch(model: &Model, positions: &[DVec3]) -> Result<WrittenFiles, Error> {
@@ -85,23 +81,4 @@ fn push_vertex(element: &[u8], place: DVec3, out: &mut Vec<u8>) {
         rest = &rest[end..];
     }
     out.extend_from_slice(rest);
-}
-
-/// Says which parts beside the model show or hold what it was.
-pub(super) fn stale_parts(package: &Package<'_>, notes: &PrintNotes) -> Option<WrittenWarning> {
-    let models = notes.scene.parts.iter().map(|part| part.name.clone()).collect();
-    let textures = notes.scene.parts.iter().flat_map(|part| part.pictures.values());
-    let textures: Vec<&str> = textures.map(|own| own.path.trim_start_matches('/')).collect();
-    let is_stale = |name: &&str| {
-        let lower = name.to_ascii_lowercase();
-        let is_picture = [".png", ".jpg", ".jpeg", ".gcode"]
-            .iter()
-            .any(|end| lower.ends_with(end));
-        is_picture && !textures.contains(name)
-    };
-    let stale: Vec<&str> = package.beside(&models).into_iter().filter(is_stale).collect();
-    let more = if stale.len() > MOST_LISTED { " and others" } else { "" };
-    let names = stale.iter().copied().take(MOST_LISTED).collect::<Vec<_>>().join(", ");
-    let message = format!("parts beside the model are as uploaded and may show what it was: {names}{more}");
-    (!stale.is_empty()).then(|| WrittenWarning::new("extension-kept", message, ""))
 }

@@ -1,11 +1,10 @@
 //! The objects of a 3MF where they are built: one primitive for each use of a mesh.
 
-use super::FORMAT;
-use super::package::{Package, refuse};
+use super::package::{FORMAT, Package, refuse};
 use super::part::{BuildItem, Component, ModelPart, ObjectMesh, PrintObject, PropertyGroup, read_part};
 use crate::files::ReadWatch;
 use crate::model::FileNotes;
-use crate::{Error, FileSet, Geometry, Primitive};
+use crate::{Error, FileSet, Geometry, Primitive, WrittenWarning};
 use bytes::Bytes;
 use glam::DAffine3;
 use std::collections::{BTreeMap, BTreeSet};
@@ -336,4 +335,23 @@ pub(super) fn uses_of_objects(uses: &[MeshUse]) -> BTreeMap<(usize, u32), usize>
 /// The refusal to write what a model is not.
 pub(super) fn unwritable(problem: impl Into<String>) -> Error {
     Error::unwritable(FORMAT, problem)
+}
+
+/// Says which parts beside the model show or hold what it was.
+pub(super) fn stale_parts(package: &Package<'_>, notes: &PrintNotes) -> Option<WrittenWarning> {
+    let models = notes.scene.parts.iter().map(|part| part.name.clone()).collect();
+    let textures = notes.scene.parts.iter().flat_map(|part| part.pictures.values());
+    let textures: Vec<&str> = textures.map(|own| own.path.trim_start_matches('/')).collect();
+    let is_stale = |name: &&str| {
+        let lower = name.to_ascii_lowercase();
+        let is_picture = [".png", ".jpg", ".jpeg", ".gcode"]
+            .iter()
+            .any(|end| lower.ends_with(end));
+        is_picture && !textures.contains(name)
+    };
+    let stale: Vec<&str> = package.beside(&models).into_iter().filter(is_stale).collect();
+    let more = if stale.len() > MOST_LISTED { " and others" } else { "" };
+    let names = stale.iter().copied().take(MOST_LISTED).collect::<Vec<_>>().join(", ");
+    let message = format!("parts beside the model are as uploaded and may show what it was: {names}{more}");
+    (!stale.is_empty()).then(|| WrittenWarning::new("extension-kept", message, ""))
 }

@@ -1,13 +1,11 @@
 //! Writes the objects of a 3MF anew after an edit; everything else of the model part stays as written.
 
-use super::FORMAT;
 use super::build::push_neutral;
 use super::looks::{RunOrigins, UseProperties};
 use super::model_text::{MeshText, PartText, WrittenProperty, name_attribute};
-use super::package::Package;
+use super::package::{FORMAT, Package};
 use super::part::PropertyGroup;
-use super::patch::stale_parts;
-use super::scene::{MeshUse, PrintNotes, unwritable, uses_of_objects};
+use super::scene::{MeshUse, PrintNotes, stale_parts, unwritable, uses_of_objects};
 use crate::codec::EditedOutput;
 use crate::edited::{EditedModel, PrimitiveRun, VertexBlend};
 use crate::files::{ReadWatch, counted};

@@ -108,9 +108,10 @@ impl<'a> BaseJoiner<'_, 'a> {
         // Nodes with skins are roots; those without stand among them where there are some, so that vertices keep their order.
         let all_roots = skin_of.values().any(Option::is_some);
         let placed = node_for(&placing).filter(|_| !all_roots);
-        let needs_root = skin_of
-            .values()
-            .any(|skin| skin.is_none_or(|skin| !skeleton.has_all(skin)));
+        let needs_root = skin_of.values().any(|skin| match *skin {
+            Some(skin) => !skeleton.has_all(skin),
+            None => !all_roots,
+        });
         let root = needs_root.then(|| self.add_root(&name, placed.as_ref()));
         let world_from_root = placed.as_ref().map_or(DAffine3::IDENTITY, |p| p.transform);
         let mut palette = MaterialCopier::new(&doc, &model.files, first, base);

@@ -139,8 +139,26 @@ struct Measures<'d, 'a> {
     places: usize,
 }
 
+/// Says how many places of an avatar are more than are looked at.
+pub(in super::super) fn places_beyond(doc: &GltfDocument<'_>) -> Option<String> {
+    let places = if is_measured(doc) { Measures::count(doc) } else { 0 };
+    (places > MOST_PLACES).then(|| {
+        format!(
+            "the avatar has lengths and offsets at more than {MOST_PLACES} places; those beyond stay as they are stored when its shape changes"
+        )
+    })
+}
+
 impl<'a> Measures<'_, 'a> {
+    fn count(doc: &GltfDocument<'a>) -> usize {
+        Self::read(doc).places
+    }
+
     fn of(doc: &GltfDocument<'a>) -> Vec<Measure<'a>> {
+        Self::read(doc).list
+    }
+
+    fn read<'d>(doc: &'d GltfDocument<'a>) -> Measures<'d, 'a> {
         let mut all = Measures {
             doc,
             list: Vec::new(),
@@ -157,7 +175,7 @@ impl<'a> Measures<'_, 'a> {
         if let Some(springs) = springs {
             all.add_springs(springs);
         }
-        all.list
+        all
     }
 
     fn add(&mut self, holder: &'a str, key: &'static str, places: Vec<AvatarPlace>, what: MeasureKind) {
@@ -221,7 +239,7 @@ impl<'a> Measures<'_, 'a> {
     fn chain(&self, mut open: Vec<usize>) -> Vec<AvatarPlace> {
         let mut places = Vec::new();
         while let Some(node) = open.pop()
-            && places.len() <= MOST_PLACES
+            && self.places.max(places.len()) <= MOST_PLACES
         {
             places.push(AvatarPlace {
                 node,
