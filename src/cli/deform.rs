@@ -188,7 +188,8 @@ fn print_summary(report: &pb::Report, followed: &FollowedCounts, millis: f64) {
         millis
     );
     if let Some(pairs) = quality.self_intersections {
-        eprintln!("{pairs} pairs of triangles cross");
+        let new = quality.new_self_intersections.unwrap_or(pairs);
+        eprintln!("{pairs} pairs of triangles cross, {new} of them not in the rest pose");
     }
     if !followed.is_none() {
         eprintln!("followed: {followed}");

@@ -116,6 +116,7 @@ async fn one_solve_in_three_forms() {
     assert_eq!(said("x-pliant-edge-rms"), quality["edgeRms"]);
     assert_eq!(said("x-pliant-flipped-triangles"), 0.0);
     assert_eq!(said("x-pliant-self-intersections"), 0.0);
+    assert_eq!(said("x-pliant-new-self-intersections"), 0.0);
     let buffer = binary.bytes().await.unwrap();
     assert_eq!(
         floats(&buffer),

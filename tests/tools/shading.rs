@@ -133,6 +133,16 @@ fn triangles_that_cross_are_red_and_those_that_crossed_before_are_not() {
         ran.last()
     );
     look(&SeenPicture::open(&folder.at("seen.png")), &is_red, 0.0);
+    // How deep they cross is shown of new pairs alone, darkest where it is most.
+    let depths = "--color contact --size 200x200 --view front";
+    let ran = render(&folder, &format!("now.obj --before before.obj {depths} -o depths.png")).exits(0);
+    assert!(
+        ran.last().contains("pairs cross, up to ") && ran.last().contains(" deep"),
+        "{}",
+        ran.last()
+    );
+    let ran = render(&folder, &format!("now.obj --rest now.obj {depths} -o none.png")).exits(0);
+    assert!(ran.last().contains("0 pairs cross"), "{}", ran.last());
     // Compared with another place of the blade all pairs are new; with itself none is.
     look(
         &drawn(&folder, &format!("now.obj --before before.obj {arguments}")),

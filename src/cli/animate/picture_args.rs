@@ -56,6 +56,8 @@ pub(super) enum FrameColour {
     Distortion,
     /// Triangles that cross others (red); amber if those pairs cross in the rest pose too
     Crossings,
+    /// How deep triangles cross that do not in the rest pose; the darkest red is a mean edge or more
+    Contact,
 }
 
 /// What frames are compared with.

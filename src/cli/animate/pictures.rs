@@ -3,7 +3,7 @@
 use super::picture_args::{FrameColour, FramePicture};
 use super::play::{FrameTaker, PlayedAnimation};
 use crate::cli::drawing::{
-    CloseUp, DrawnShape, SeenShape, bounds_of, crossing_words, crossings_by_triangle, heat_colours,
+    CloseUp, Contacts, DrawnShape, SeenShape, bounds_of, crossing_words, crossings_by_triangle, heat_colours,
 };
 use crate::cli::terminal::CliFailure;
 use crate::engine::{AnimatedFrame, bind_model, influences_of_skin};
@@ -199,8 +199,24 @@ impl<'a> PicturedFrames<'a> {
                 words = crossing_words(&crossings, true);
                 self.drawn.mark_crossings(surface, &crossings)?
             }
+            FrameColour::Contact => {
+                let contacts = Contacts::of(positions, Some(rest), &self.triangles, pool)?;
+                sizes = contacts.depths(positions.len(), &self.triangles);
+                words = contacts.words();
+                let colours = heat_colours(&sizes, ColourRamp::Amount, self.mean_edge());
+                self.drawn.colour_vertices(surface, &colours)?
+            }
         };
         Ok(PaintedShape { surface, sizes, words })
+    }
+
+    /// The mean length of edges in the rest pose, which depths are shown against in all frames alike.
+    fn mean_edge(&self) -> f64 {
+        let rest = self.played.deformer.rest();
+        let sides = self.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
+        let sum: f64 = sides.map(|[a, b]| rest[a as usize].distance(rest[b as usize])).sum();
+        let mean = sum / (3 * self.triangles.len()).max(1) as f64;
+        if mean > 0.0 { mean } else { 1.0 }
     }
 
     /// The place of a frame that is shown from near by.
@@ -265,6 +281,7 @@ impl<'a> PicturedFrames<'a> {
             FrameColour::Plain | FrameColour::Material => None,
             FrameColour::Distortion => Some(ColourKey::for_stretch(STRETCH_RANGE)),
             FrameColour::Crossings => Some(ColourKey::for_crossings(true)),
+            FrameColour::Contact => Some(ColourKey::for_depth(self.mean_edge())),
         };
         let key = if shown_key.is_some() { KEY } else { 0 };
         let side = |n: usize, pixels: u32| n as u64 * u64::from(pixels);

@@ -274,7 +274,7 @@ fn header_quality(headers: &HeaderMap) -> Option<pb::Quality> {
         flipped_triangles: header_number(headers, "x-pliant-flipped-triangles")? as u32,
         max_stretch: header_number(headers, "x-pliant-max-stretch")?,
         self_intersections: header_number(headers, "x-pliant-self-intersections").map(|n| n as u32),
-        new_self_intersections: None,
+        new_self_intersections: header_number(headers, "x-pliant-new-self-intersections").map(|n| n as u32),
         off_rigid: header_number(headers, "x-pliant-off-rigid"),
         faces_too_large: header_number(headers, "x-pliant-faces-too-large").unwrap_or(0.0) as u32,
     })

@@ -1,7 +1,7 @@
 //! What the colours of a picture show, and what they are.
 
 use super::input::ModelToDraw;
-use crate::cli::drawing::{crossing_words, crossings_by_triangle, heat_colours};
+use crate::cli::drawing::{Contacts, crossing_words, crossings_by_triangle, heat_colours};
 use crate::cli::input_files::in_file;
 use crate::cli::terminal::CliFailure;
 use crate::mesh::Crossing;
@@ -20,6 +20,8 @@ pub(super) enum ColourChoice {
     Difference,
     /// Triangles that cross others (red); amber if those pairs crossed before too
     Crossings,
+    /// How deep triangles cross others; of those pairs alone that did not cross before
+    Contact,
     /// The model's own base colours: materials, textures, vertex colours
     Material,
     /// The shape only
@@ -35,7 +37,9 @@ pub(super) fn choose_colours(
     before: Option<&ModelToDraw<'_>>,
 ) -> Result<ColourChoice, CliFailure> {
     let needs_before = |colour: ColourChoice| matches!(colour, ColourChoice::Distortion | ColourChoice::Difference);
-    let compares = |colour: ColourChoice| needs_before(colour) || colour == ColourChoice::Crossings;
+    let compares = |colour: ColourChoice| {
+        needs_before(colour) || matches!(colour, ColourChoice::Crossings | ColourChoice::Contact)
+    };
     let other = |b: &&ModelToDraw<'_>| models.iter().find(|m| m.vertex_count() != b.vertex_count());
     match (asked, before, before.as_ref().and_then(other)) {
         (Some(colour), None, _) if needs_before(colour) => {
@@ -68,6 +72,8 @@ pub(super) enum Measured {
     Values(Vec<f64>),
     /// For each triangle what it crosses.
     Crossings(Vec<Crossing>),
+    /// For each vertex how deep it crosses, with what a caption says.
+    Depths(Vec<f64>, String),
 }
 
 impl Measured {
@@ -86,6 +92,10 @@ impl Measured {
             (ColourChoice::Crossings, rest) => {
                 Self::Crossings(crossings_by_triangle(now, rest, triangles, pool).map_err(refuse)?)
             }
+            (ColourChoice::Contact, rest) => {
+                let contacts = Contacts::of(now, rest, triangles, pool).map_err(refuse)?;
+                Self::Depths(contacts.depths(now.len(), triangles), contacts.words())
+            }
             _ => Self::Nothing,
         })
     }
@@ -95,7 +105,7 @@ impl Measured {
         let mut sizes = vec![0.0; model.vertex_count()];
         match self {
             Self::Nothing => return Vec::new(),
-            Self::Values(values) => sizes.clone_from(values),
+            Self::Values(values) | Self::Depths(values, _) => sizes.clone_from(values),
             Self::Crossings(crossings) => {
                 for (t, crossing) in model.model.triangles.iter().zip(crossings) {
                     let size = f64::from(*crossing as u8);
@@ -112,6 +122,7 @@ impl Measured {
     pub(super) fn words(&self, has_rest: bool) -> Option<String> {
         match self {
             Self::Crossings(crossings) => Some(crossing_words(crossings, has_rest)),
+            Self::Depths(_, words) => Some(words.clone()),
             _ => None,
         }
     }
@@ -127,7 +138,7 @@ impl Measured {
         let surface = model.shape.surface(None, DVec3::ZERO, pool).map_err(refuse)?;
         let painted = match self {
             Self::Nothing => Ok(surface),
-            Self::Values(values) => {
+            Self::Values(values) | Self::Depths(values, _) => {
                 let colours = heat_colours(values, scale.ramp, scale.unit);
                 model.shape.colour_vertices(surface, &colours)
             }
@@ -166,16 +177,19 @@ impl ColourScale {
                     key: Some(ColourKey::for_stretch(factor)),
                 })
             }
-            ColourChoice::Difference => {
+            ColourChoice::Difference | ColourChoice::Contact => {
                 let values = measured.iter().filter_map(|m| match m {
-                    Measured::Values(values) => Some(values),
+                    Measured::Values(values) | Measured::Depths(values, _) => Some(values),
                     _ => None,
                 });
                 let most = range.unwrap_or_else(|| values.flatten().copied().fold(0.0, f64::max));
                 Ok(Self {
                     ramp: ColourRamp::Amount,
                     unit: if most > 0.0 { most } else { 1.0 },
-                    key: Some(ColourKey::for_distance(most)),
+                    key: Some(match colour {
+                        ColourChoice::Contact => ColourKey::for_depth(most),
+                        _ => ColourKey::for_distance(most),
+                    }),
                 })
             }
             other => Ok(Self {

@@ -47,9 +47,18 @@ impl ColourKey {
 
     /// Makes the key for distances from 0 to `most`.
     pub fn for_distance(most: f64) -> Self {
+        Self::for_amount("distance", most)
+    }
+
+    /// Makes the key for how deep triangles cross, from 0 to `most`.
+    pub fn for_depth(most: f64) -> Self {
+        Self::for_amount("depth", most)
+    }
+
+    fn for_amount(title: &str, most: f64) -> Self {
         Self(KeyForm::Ramp(RampKey {
             ramp: ColourRamp::Amount,
-            title: "distance".into(),
+            title: title.into(),
             least: "0".into(),
             most: format_tick(most),
         }))

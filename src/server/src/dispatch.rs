@@ -158,6 +158,7 @@ fn cors(config: &ServerConfig) -> CorsLayer {
         "x-pliant-flipped-triangles",
         "x-pliant-max-stretch",
         "x-pliant-self-intersections",
+        "x-pliant-new-self-intersections",
         "x-pliant-faces-too-large",
         "x-pliant-off-rigid",
         "x-pliant-followed",

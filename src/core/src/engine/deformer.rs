@@ -18,8 +18,12 @@ use crate::engine::settings::{DeformerLimits, HeldBeside, OpenOptions};
 use crate::engine::shape::{ModelShape, ShapeId, TopologyId};
 use crate::engine::stiff::{farthest_off_rigid, find_hard_parts};
 use crate::exec::Exec;
+<<<<<<< HEAD
 use crate::mesh::carry::CarriedPoints;
 use crate::mesh::{BoundingBox, Crossing, CrossingPairs, Mesh, MeshReport, self_intersections};
+=======
+use crate::mesh::{BoundingBox, Crossing, CrossingPairs, Mesh, MeshReport, count_crossings};
+>>>>>>> w-D
 use crate::pool::Pool;
 use crate::reference::SpatialRbf;
 use glam::DVec3;
@@ -509,19 +513,31 @@ impl Deformer {
         Ok(if diagonal > 0.0 { farthest / diagonal } else { farthest })
     }
 
-    /// As [`Deformer::quality`], with the number of self-intersections beside when `count_crossings` asks for it.
+    /// As [`Deformer::quality`], with the number of self-intersections beside when `counts_crossings` asks for it.
     ///
     /// # Errors
     /// [`Error::Cancelled`] when `progress` says so.
-    pub fn measure(&self, positions: &[DVec3], count_crossings: bool, exec: &Exec<'_>) -> Result<QualityReport, Error> {
+    pub fn measure(
+        &self,
+        positions: &[DVec3],
+        counts_crossings: bool,
+        exec: &Exec<'_>,
+    ) -> Result<QualityReport, Error> {
         let deformed = self.mesh().welded(positions);
         let mut found = measure_quality(self.mesh(), self.report().closed, &deformed, exec.pool);
         if let Some(system) = &self.handle_system {
             found.off_rigid = farthest_off_rigid(system, self.body(), |vertex| deformed[vertex]);
         }
-        if count_crossings {
-            let pairs = self_intersections(&deformed, &self.mesh().triangles, exec)?;
-            found.self_intersections = Some(u32::try_from(pairs).unwrap_or(u32::MAX));
+        if counts_crossings {
+            let Mesh {
+                positions: rest,
+                triangles,
+                ..
+            } = self.mesh();
+            let pairs = count_crossings(&deformed, rest, triangles, exec)?;
+            let narrow = |count: u64| u32::try_from(count).unwrap_or(u32::MAX);
+            found.self_intersections = Some(narrow(pairs.all));
+            found.new_self_intersections = Some(narrow(pairs.new));
         }
         Ok(found)
     }

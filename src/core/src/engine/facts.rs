@@ -168,7 +168,7 @@ pub struct QualityReport {
     pub faces_too_large: u32,
     /// Pairs of triangles that cross, when asked for.
     pub self_intersections: Option<u32>,
-    /// Those of them that do not cross in the rest pose, of frames of animations.
+    /// Those of them that do not cross in the rest pose.
     pub new_self_intersections: Option<u32>,
     /// With stiff parts: the largest distance of a vertex of one from a rigid motion of its rest shape, as a share of the part's
     /// diagonal.

@@ -228,6 +228,9 @@ fn facts(solved: &CommittedPose) -> HeaderMap {
         if let Some(pairs) = quality.self_intersections {
             set("x-pliant-self-intersections", pairs.to_string());
         }
+        if let Some(pairs) = quality.new_self_intersections {
+            set("x-pliant-new-self-intersections", pairs.to_string());
+        }
         if let Some(off) = quality.off_rigid {
             set("x-pliant-off-rigid", off.to_string());
         }

@@ -4760,7 +4760,7 @@ export const EditRequest_CleanSchema: GenMessage<EditRequest_Clean> = /*@__PURE_
  */
 export type EditRequest_Adopt = Message<"pliant.v1.EditRequest.Adopt"> & {
   /**
-   * x, y, z of each render vertex, or of each that is no passenger's, relative to Session.origin: little-endian 32-bit floats,
+   * x, y, z of each render vertex, or of each but those of passengers, relative to Session.origin: little-endian 32-bit floats,
    * 12 bytes a vertex. Empty = the shape as it is, which graph and hierarchy follow where that is possible (EditResult.repaired).
    *
    * @generated from field: bytes positions = 1;
@@ -4843,7 +4843,7 @@ export type EditRequest_Wrap = Message<"pliant.v1.EditRequest.Wrap"> & {
   landmarks: EditRequest_Wrap_Landmark[];
 
   /**
-   * What of the model the target does not pull, beside what is hidden: it goes along with what is around it.
+   * What of the model the target does not pull, beside what is hidden: it follows what is around it.
    *
    * @generated from field: pliant.v1.Region mask = 6;
    */
@@ -6477,7 +6477,7 @@ export type Quality = Message<"pliant.v1.Quality"> & {
   offRigid?: number | undefined;
 
   /**
-   * Those of self_intersections that do not cross in the rest pose, only in frames of an animation.
+   * Those of self_intersections that do not cross in the rest pose.
    *
    * @generated from field: optional uint32 new_self_intersections = 10;
    */
