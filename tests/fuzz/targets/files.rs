@@ -10,6 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 /// Small enough that no input takes long.
 pub const LIMITS: Limits = Limits {
+    cage_triangles: 500,
     vertices: 20_000,
     triangles: 40_000,
     decoded_bytes: 32 << 20,

@@ -16,7 +16,7 @@ use pliant::asset::Format;
 pub type FuzzTarget = fn(&[u8]);
 
 /// Every target by its name, which is that of its folders of inputs.
-pub const TARGETS: [(&str, FuzzTarget); 21] = [
+pub const TARGETS: [(&str, FuzzTarget); 22] = [
     ("obj", |bytes| files::read_and_write(bytes, Some(Format::OBJ))),
     ("ply", |bytes| files::read_and_write(bytes, Some(Format::PLY))),
     ("off", |bytes| files::read_and_write(bytes, Some(Format::OFF))),

@@ -18,12 +18,8 @@ use crate::engine::settings::{DeformerLimits, HeldBeside, OpenOptions};
 use crate::engine::shape::{ModelShape, ShapeId, TopologyId};
 use crate::engine::stiff::{farthest_off_rigid, find_hard_parts};
 use crate::exec::Exec;
-<<<<<<< HEAD
 use crate::mesh::carry::CarriedPoints;
-use crate::mesh::{BoundingBox, Crossing, CrossingPairs, Mesh, MeshReport, self_intersections};
-=======
 use crate::mesh::{BoundingBox, Crossing, CrossingPairs, Mesh, MeshReport, count_crossings};
->>>>>>> w-D
 use crate::pool::Pool;
 use crate::reference::SpatialRbf;
 use glam::DVec3;

@@ -126,7 +126,7 @@ fn triangle_weights(corners: [(DVec3, f64); 3]) -> TriangleWeights {
     });
     let side = unit[0].cross(unit[1]).dot(unit[2]);
     let dihedral = cosine.map(|c| (1.0 - c * c).sqrt().copysign(side));
-    if side == 0.0 || dihedral.iter().any(|s| !(s.abs() > 1e-9)) {
+    if side == 0.0 || dihedral.iter().any(|s| s.is_nan() || s.abs() <= 1e-9) {
         // In the plane of the triangle and beside it, the triangle is seen as a line.
         return TriangleWeights::Beside([0.0; 3]);
     }

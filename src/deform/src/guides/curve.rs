@@ -296,7 +296,7 @@ pub(super) fn check_points(points: &[DVec3], field: &str) -> Result<(), GuidePro
         return Err(GuideProblem::new(field, problem));
     }
     finite(points, field)?;
-    match points.windows(2).position(|pair| !(pair[0].distance(pair[1]) > 0.0)) {
+    match points.windows(2).position(|pair| pair[0].distance(pair[1]) <= 0.0) {
         Some(k) => Err(GuideProblem::new(
             format!("{field}[{}]", k + 1),
             "is where the point before it is",
@@ -313,7 +313,7 @@ pub(super) fn check_values(pose: &GuidePose) -> Result<(), GuideProblem> {
             return Err(GuideProblem::new(field, problem));
         }
     }
-    if let Some(k) = pose.twists.iter().position(|t| !(t.abs() <= 1e6)) {
+    if let Some(k) = pose.twists.iter().position(|t| t.is_nan() || t.abs() > 1e6) {
         return Err(GuideProblem::new(
             format!("twists[{k}]"),
             "is not an angle from -1e6 to 1e6 radians",
