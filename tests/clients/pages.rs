@@ -15,7 +15,7 @@ use std::path::Path;
 use std::process::Command;
 
 /// Every page for users that has no test of its own.
-const PAGES: [&str; 26] = [
+const PAGES: [&str; 27] = [
     "README.md",
     "CONTRIBUTING.md",
     "deploy/README.md",
@@ -28,6 +28,7 @@ const PAGES: [&str; 26] = [
     "deploy/docs/formats.md",
     "deploy/docs/frame.md",
     "deploy/docs/glossary.md",
+    "deploy/docs/guides.md",
     "deploy/docs/quality.md",
     "deploy/docs/security.md",
     "deploy/docs/README.md",
@@ -124,6 +125,16 @@ fn wrap() {
     let checkout = play("deploy/docs/wrap.md");
     if checkout.path("target/led.glb").exists() {
         shows_what_it_draws(&checkout, &[("wrapped", "wrapped")]);
+    }
+}
+
+#[test]
+fn guides() {
+    let checkout = play("deploy/docs/guides.md");
+    if checkout.path("target/creature.glb").exists() {
+        for picture in ["target/arc.png", "target/lattice.png"] {
+            assert!(checkout.path(picture).exists(), "{picture} is drawn");
+        }
     }
 }
 

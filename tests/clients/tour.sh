@@ -4,7 +4,7 @@ set -euo pipefail
 server=${1:-http://127.0.0.1:7411}
 json='content-type: application/json'
 
-# A model to play with: the built-in creature. Any glb, gltf, obj, ply, off, stl, 3mf or fbx will do.
+# A model to play with: the built-in creature. Any glb, gltf, obj, ply, off, stl, 3mf, fbx, splat or spz will do.
 curl -sSf "$server/v1/sample.glb" -o creature.glb
 
 # Open a session: the body is the model, the answer describes it.

@@ -1,7 +1,7 @@
 //! The ways in and out: which codec reads a model, and which one writes it, by patching, building or editing.
 
 use super::codec::{EditedOutput, FormatCodec, PatchedOutput, Translation};
-use super::edited::{self, BaseModel, CapLooks, CarriedAttributes, EditedModel, PrimitiveRun, RunFaces, VertexBlends};
+use super::edited::{self, CarriedAttributes, EditedModel, PrimitiveRun, RunFaces};
 use super::files::ReadWatch;
 use super::formats::{codec_of, reader_of, translator_of};
 use super::model::is_same;
@@ -10,7 +10,7 @@ use super::{
     Error, FileSet, Following, Format, Limits, Model, ModelNode, ShapeFollowers, VertexAttributes, WrittenFiles,
     WrittenWarning,
 };
-use glam::{DAffine3, DVec3};
+use glam::DVec3;
 use pliant_exec::progress::{Progress, Silent};
 use pliant_mesh::BoundingBox;
 use std::sync::OnceLock;
@@ -432,39 +432,7 @@ fn neutral_edited_model(edited: &EditedModel<'_>, positions: &[DVec3], format: F
 
 /// The neutral form of a model that no edit has changed, at new positions: as if an edit had kept every vertex.
 pub(super) fn neutral_model(model: &Model, positions: &[DVec3], format: Format) -> Result<NeutralModel, Error> {
-    with_whole_model(model, |edited| neutral_edited_model(edited, positions, format))
-}
-
-/// Hands out a model as an edit would leave it that keeps every vertex and triangle.
-pub(super) fn with_whole_model<T>(model: &Model, work: impl FnOnce(&EditedModel<'_>) -> T) -> T {
-    let geometry = &model.geometry;
-    let mut first_triangle = 0;
-    let mut runs = Vec::with_capacity(geometry.primitives.len());
-    for (i, primitive) in geometry.primitives.iter().enumerate() {
-        let triangle_count = primitive.index_count / 3;
-        runs.push(PrimitiveRun {
-            base: 0,
-            primitive: i as u32,
-            first_vertex: primitive.first_vertex,
-            vertex_count: primitive.vertex_count,
-            first_triangle,
-            triangle_count,
-        });
-        first_triangle += triangle_count;
-    }
-    let edited = EditedModel {
-        bases: &[BaseModel {
-            model,
-            world_from_model: DAffine3::IDENTITY,
-        }],
-        runs: &runs,
-        blends: &VertexBlends::identity(geometry.positions.len() as u32),
-        triangles: &geometry.triangles,
-        origins: &[],
-        bare: &[],
-        caps: CapLooks::default(),
-    };
-    work(&edited)
+    edited::with_whole_model(model, |edited| neutral_edited_model(edited, positions, format))
 }
 
 /// Adds what comes from one base of an edited model.

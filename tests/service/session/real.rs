@@ -256,6 +256,7 @@ async fn every_commit_is_measured_and_crossings_are_counted_when_asked() {
         counted,
         pb::Quality {
             self_intersections: Some(0),
+            new_self_intersections: Some(0),
             ..plain
         }
     );

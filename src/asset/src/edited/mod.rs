@@ -193,6 +193,38 @@ impl<'a> EditedModel<'a> {
     }
 }
 
+/// Hands out a model as an edit would leave it that keeps every vertex and triangle.
+pub(crate) fn with_whole_model<T>(model: &Model, work: impl FnOnce(&EditedModel<'_>) -> T) -> T {
+    let geometry = &model.geometry;
+    let mut first_triangle = 0;
+    let mut runs = Vec::with_capacity(geometry.primitives.len());
+    for (i, primitive) in geometry.primitives.iter().enumerate() {
+        let triangle_count = primitive.index_count / 3;
+        runs.push(PrimitiveRun {
+            base: 0,
+            primitive: i as u32,
+            first_vertex: primitive.first_vertex,
+            vertex_count: primitive.vertex_count,
+            first_triangle,
+            triangle_count,
+        });
+        first_triangle += triangle_count;
+    }
+    let edited = EditedModel {
+        bases: &[BaseModel {
+            model,
+            world_from_model: DAffine3::IDENTITY,
+        }],
+        runs: &runs,
+        blends: &VertexBlends::identity(geometry.positions.len() as u32),
+        triangles: &geometry.triangles,
+        origins: &[],
+        bare: &[],
+        caps: CapLooks::default(),
+    };
+    work(&edited)
+}
+
 /// Checks everything about a description that the writers rely on.
 pub(super) fn check(edited: &EditedModel<'_>, positions: &[DVec3], format: Format) -> Result<(), Error> {
     let wrong = |problem: String| Err(Error::unwritable(format, problem));

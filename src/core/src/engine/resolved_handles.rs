@@ -9,7 +9,7 @@ use super::region_context::{
 };
 use super::shape::FoundTurn;
 use super::stiff::{stiff_nodes, stiff_vertices};
-use super::target_vertices::{TargetVertices, check_targets_alone};
+use super::target_vertices::{HeldBytesAdmission, TargetVertices, check_targets_alone};
 use crate::deform::{DeformableBody, FreePartPolicy, HandleConstraint, HandleSetup, StiffNodes, Transform};
 use crate::exec::Exec;
 use crate::mesh::NONE;
@@ -52,9 +52,6 @@ pub(super) struct ResolvedHandles {
     pub warnings: Vec<DeformerWarning>,
 }
 
-/// What handles hold besides, while they are resolved: asked with the bytes of all so far, before the next one is.
-pub(super) type HeldBytesAdmission<'a> = dyn Fn(u64) -> Result<(), Error> + 'a;
-
 /// Resolves handles to what they hold in the model as it is; nothing else decides it, so that no shape depends on when its
 /// handles were set.
 pub(super) fn resolve_handles(
@@ -75,7 +72,7 @@ pub(super) fn resolve_handles(
     let lists = differing_lists(&set.handles);
     for (k, handle) in set.handles.iter().enumerate() {
         admit(held_bytes)?;
-        check_targets_alone(&set, handle, &format!("handles[{k}]"))?;
+        check_handle(&set, handle, &format!("handles[{k}]"))?;
         let in_region = |e: Error| e.below(&format!("handles[{k}].region"));
         let vertices = vertices_of_handle(context, &handle.region).map_err(in_region)?;
         let mut held = nodes_in_region(context, graph, &handle.region, None).map_err(in_region)?;
@@ -86,14 +83,6 @@ pub(super) fn resolve_handles(
             return Err(in_region(holds_nothing(context)));
         }
         (resolved.centroids).push(region_centroid(context, graph, &vertices, &held.nodes));
-        if handle.rigid && handle.falloff.is_some() && handle.stiffness.is_none() {
-            let problem =
-                "makes the edge of a hard handle's region give way, but the region is rigid: one of both is allowed";
-            return Err(Error::invalid(format!("handles[{k}].falloff"), problem));
-        }
-        if let Some(pose) = &handle.pose {
-            check_free_rotation(handle, pose, &format!("handles[{k}].pose"))?;
-        }
         let at = format!("handles[{k}]");
         let mut hold = hold_nodes(body, handle, held, &at, context.exec)?;
         let mut targets = (handle.targets).map(|per| TargetVertices::of(context, &vertices, per, &mut hold.pulls));
@@ -216,6 +205,20 @@ impl ResolvedHandles {
         all.filter(|(_, pose)| pose.free_rotation)
             .map(|(hold, _)| hold)
             .collect()
+    }
+}
+
+/// Refuses a handle that asks for what does not go together, whatever its region.
+fn check_handle(set: &HandleSet, handle: &Handle, field: &str) -> Result<(), Error> {
+    check_targets_alone(set, handle, field)?;
+    if handle.rigid && handle.falloff.is_some() && handle.stiffness.is_none() {
+        let problem =
+            "makes the edge of a hard handle's region give way, but the region is rigid: one of both is allowed";
+        return Err(Error::invalid(format!("{field}.falloff"), problem));
+    }
+    match &handle.pose {
+        Some(pose) => check_free_rotation(handle, pose, &format!("{field}.pose")),
+        None => Ok(()),
     }
 }
 

@@ -3,12 +3,14 @@
 use super::error::Error;
 use super::handle::{Handle, HandlePose, HandleSet};
 use super::region_context::RegionContext;
-use super::resolved_handles::HeldBytesAdmission;
 use super::vertex_targets::{StiffnessPer, VertexTargets};
 use crate::deform::{BoundGuide, DeformableBody, GuideProblem, HandleConstraint};
 use crate::exec::Exec;
 use crate::mesh::{Mesh, NONE};
 use glam::{DVec3, Vec3};
+
+/// What handles hold besides, while they are resolved: asked with the bytes of all so far, before the next one is.
+pub(super) type HeldBytesAdmission<'a> = dyn Fn(u64) -> Result<(), Error> + 'a;
 
 /// Shares of the model's area that [`StiffnessPer::Area`] counts in.
 const SHARES: f64 = 10_000.0;

@@ -1,6 +1,6 @@
 //! Vertices in a cage, by mean value coordinates.
 
-use super::{GuideProblem, finite};
+use super::pose::{GuideProblem, finite};
 use crate::error::Error;
 use glam::DVec3;
 use pliant_exec::Exec;

@@ -1,6 +1,6 @@
-//! Vertices along a curve: their places by a frame that goes along it without turning about it.
+//! Vertices along a curve: their places by a frame carried along it that does not turn about it.
 
-use super::{GuidePose, GuideProblem, MOST_POINTS, finite};
+use super::pose::{GuidePose, GuideProblem, MOST_POINTS, finite};
 use crate::error::Error;
 use glam::{DMat3, DQuat, DVec3};
 use pliant_exec::Exec;

@@ -1,6 +1,6 @@
 //! Vertices in a lattice of control points.
 
-use super::{GuideProblem, MOST_CONTROL_POINTS, finite};
+use super::pose::{GuideProblem, MOST_CONTROL_POINTS, finite};
 use glam::{DMat3, DVec3};
 use pliant_exec::Exec;
 

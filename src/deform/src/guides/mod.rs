@@ -1,11 +1,12 @@
 //! Guides: a curve, a lattice or a cage whose new shape says where vertices are wanted.
 //!
 //! A guide is bound to vertices once, in the rest pose. Each pose of it then gives a place for every vertex, which handles take as
-//! targets. A guide in its rest shape gives the rest positions, to the bit.
+//! targets. A guide in its rest shape gives the rest positions bit for bit.
 
 mod cage;
 mod curve;
 mod lattice;
+mod pose;
 
 use crate::error::Error;
 use cage::CageWeights;
@@ -13,11 +14,13 @@ use curve::CurvePlaces;
 use glam::DVec3;
 use lattice::LatticePlaces;
 use pliant_exec::Exec;
+use pose::finite;
+pub use pose::{GuidePose, GuideProblem};
 
 /// What leads vertices, in its rest shape. Places are in model space.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Guide {
-    /// A smooth curve through points. A vertex keeps its offset from the nearest point of the curve, in a frame that goes along.
+    /// A smooth curve through points. A vertex keeps its offset from the nearest point of the curve, in a frame carried along it.
     Curve {
         /// At least 2, no two in a row at one place.
         points: Vec<DVec3>,
@@ -42,27 +45,6 @@ pub enum Guide {
     },
 }
 
-/// The new shape of a guide.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct GuidePose {
-    /// Of a curve, its points, at least 2; of a lattice or a cage, the new places of all its control points.
-    pub positions: Vec<DVec3>,
-    /// Of a curve, the angle in radians that it is twisted by at each point, linear between them. Empty: none.
-    pub twists: Vec<f64>,
-    /// Of a curve, the scale across it at each point, above 0, linear between them. Empty: 1.
-    pub scales: Vec<f64>,
-}
-
-impl GuidePose {
-    /// Bytes held.
-    pub fn byte_size(&self) -> usize {
-        size_of::<Self>()
-            + size_of_val(&self.positions[..])
-            + size_of_val(&self.twists[..])
-            + size_of_val(&self.scales[..])
-    }
-}
-
 /// A guide that is bound to vertices.
 #[derive(Debug, Clone)]
 pub struct BoundGuide {
@@ -77,10 +59,6 @@ enum Binding {
     Cage(CageWeights),
 }
 
-/// Points of a curve at most.
-const MOST_POINTS: usize = 1024;
-/// Control points of a lattice at most.
-const MOST_CONTROL_POINTS: usize = 1 << 16;
 impl Guide {
     /// Checks the guide, which is to lead so many vertices.
     ///
@@ -197,31 +175,6 @@ impl BoundGuide {
             Binding::Cage(cage) => cage.byte_size(),
         };
         size_of_val(&self.rest[..]) + binding
-    }
-}
-
-/// What is wrong with a guide or a pose of it.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct GuideProblem {
-    /// The field below the guide or the pose.
-    pub field: String,
-    /// What is wrong with it, in words that follow the field.
-    pub problem: String,
-}
-
-impl GuideProblem {
-    fn new(field: impl Into<String>, problem: impl Into<String>) -> Self {
-        Self {
-            field: field.into(),
-            problem: problem.into(),
-        }
-    }
-}
-
-fn finite(places: &[DVec3], field: &str) -> Result<(), GuideProblem> {
-    match places.iter().position(|p| !p.is_finite()) {
-        Some(k) => Err(GuideProblem::new(format!("{field}[{k}]"), "is not finite")),
-        None => Ok(()),
     }
 }
 

@@ -103,7 +103,7 @@ fn lattices_and_cages_take_along_what_is_linear_and_curves_what_is_rigid() {
         let error = furthest(&found, bar().into_iter().map(to));
         assert!(error < allowed, "{error} with {guide:?}");
     }
-    // About an axis across the curve; how far it is turned about itself, its points do not tell.
+    // About an axis across the curve; its points do not define how far it is turned about itself.
     let across = DMat3::from_quat(DQuat::from_xyzw(0.0, 0.3, -0.2, 0.9).normalize());
     let to = |p: DVec3| across * p + DVec3::new(3.0, -2.0, 1.0);
     let found = places(&straight(5, false), &bar(), &moved(&straight(5, false), to));

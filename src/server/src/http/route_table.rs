@@ -64,6 +64,8 @@ pub(crate) const ROUTES: [Route; 25] = [
             ("rig", "CreateOptions.rig"),
             ("morphTargets", "CreateOptions.morphTargets"),
             ("boneLengths", "CreateOptions.boneLengths"),
+            ("largeSplats", "CreateOptions.largeSplats"),
+            ("cageTriangles", "CreateOptions.cageTriangles"),
             (
                 "volumeGraph",
                 "CreateOptions.volumeGraph.mode; its other fields as volumeGraph.interval and so on",

@@ -26,7 +26,7 @@ pub(super) fn push_neutral(text: &mut PartText, neutral: &NeutralModel, with_pic
             let corners = triangle.map(|v| mesh.vertex(neutral.geometry.positions[v as usize], NONE));
             mesh.triangle(corners, property.of_triangle(neutral, &own, i, &mut table));
         }
-        if mesh.count > 0 {
+        if !mesh.is_empty() {
             let id = text.take_id()?;
             text.push_mesh(id, &name_attribute(&own.primitive.name), &mesh);
             text.push_item(id, "");

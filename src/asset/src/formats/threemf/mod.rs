@@ -1,7 +1,7 @@
 //! 3D Manufacturing Format (3MF): what printers are given, a package of XML.
 //!
 //! A shape that changes alone is patched: numbers of vertices that moved are rewritten in their part, every other part of the package is
-//! copied as it is packed. After an edit, and where one mesh is used at several places that moved apart, objects are written anew, one for
+//! copied as it is packed. After an edit, and where one mesh is used at several places that moved apart, objects are written again, one for
 //! each use, and everything else of the model part stays as written.
 //!
 //! [`package`] reads and writes archives, [`part`] the XML of a part, [`scene`] follows what is built, [`looks`] has materials and colours,

@@ -22,8 +22,8 @@ pub(super) struct MeshText {
     known: BTreeMap<([u64; 3], u32), u32>,
     vertices: Vec<u8>,
     triangles: Vec<u8>,
-    /// How many triangles there are.
-    pub count: usize,
+    /// Those with a corner twice, which printers reject: they are written where there are no others, so that the file opens.
+    collapsed: Vec<u8>,
     first_property: WrittenProperty,
 }
 
@@ -45,20 +45,24 @@ impl MeshText {
     }
 
     pub fn triangle(&mut self, [a, b, c]: [u32; 3], property: WrittenProperty) {
-        if a == b || b == c || c == a {
-            return;
-        }
-        self.triangles
-            .extend(format!("<triangle v1=\"{a}\" v2=\"{b}\" v3=\"{c}\"").bytes());
+        let text = match a == b || b == c || c == a {
+            true => &mut self.collapsed,
+            false => &mut self.triangles,
+        };
+        text.extend(format!("<triangle v1=\"{a}\" v2=\"{b}\" v3=\"{c}\"").bytes());
         if let Some((group, [p1, p2, p3])) = property {
             self.first_property = self.first_property.or(property);
-            self.triangles.extend(format!(" pid=\"{group}\" p1=\"{p1}\"").bytes());
+            text.extend(format!(" pid=\"{group}\" p1=\"{p1}\"").bytes());
             if [p2, p3] != [p1; 2] {
-                self.triangles.extend(format!(" p2=\"{p2}\" p3=\"{p3}\"").bytes());
+                text.extend(format!(" p2=\"{p2}\" p3=\"{p3}\"").bytes());
             }
         }
-        self.triangles.extend_from_slice(b"/>\n");
-        self.count += 1;
+        text.extend_from_slice(b"/>\n");
+    }
+
+    /// Whether there is no triangle.
+    pub fn is_empty(&self) -> bool {
+        self.triangles.is_empty() && self.collapsed.is_empty()
     }
 }
 
@@ -104,7 +108,11 @@ impl PartText {
         out.extend_from_slice(b"><mesh><vertices>\n");
         out.extend_from_slice(&mesh.vertices);
         out.extend_from_slice(b"</vertices><triangles>\n");
-        out.extend_from_slice(&mesh.triangles);
+        out.extend_from_slice(if mesh.triangles.is_empty() {
+            &mesh.collapsed
+        } else {
+            &mesh.triangles
+        });
         out.extend_from_slice(b"</triangles></mesh></object>\n");
     }
 

@@ -58,7 +58,7 @@ impl<'a> Package<'a> {
     /// Opens an archive.
     pub fn open(bytes: &'a [u8]) -> Result<Self, Error> {
         let archive = ZipArchive::new(Cursor::new(bytes))
-            .map_err(|error| refuse("file", format!("is no ZIP archive: {error}")))?;
+            .map_err(|error| refuse("file", format!("is not a ZIP archive: {error}")))?;
         if archive.len() > MOST_PARTS {
             let problem = format!("has {} parts, at most {MOST_PARTS} are read", archive.len());
             return Err(refuse("file", problem));

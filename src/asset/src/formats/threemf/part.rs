@@ -1,7 +1,7 @@
 //! One model part of a 3MF: XML with objects, what colours them, and what is built of them.
 //!
 //! Follows the core specification 1.3 with the production extension (objects in other parts) and of the materials extension colour groups
-//! and pictures. Elements of other extensions are skipped and told; a document type, and so entities, is refused as the specification asks.
+//! and pictures. Elements of other extensions are skipped with a warning; a document type, and so entities, is refused as the specification asks.
 
 use super::package::{attribute_of, refuse};
 use super::words::{attributes_but, colour_of, optional_whole, position_of, transform_of, whole, whole_of};
@@ -64,7 +64,7 @@ pub(super) struct PrintObject {
     pub name: String,
     /// Group and place of the property that triangles have which name none.
     pub property: Option<(u32, u32)>,
-    /// All attributes but those that are written anew, as written.
+    /// All attributes but those that are written again, as written.
     pub attributes: String,
     pub mesh: Option<ObjectMesh>,
     pub components: Vec<Component>,

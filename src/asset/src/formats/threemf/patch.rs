@@ -27,7 +27,7 @@ pub(super) fn patch(model: &Model, positions: &[DVec3]) -> Result<WrittenFiles, 
         }
         let back = one.world_from_object.inverse();
         if counts.get(&(one.part, one.object)) != Some(&1) || !back.is_finite() {
-            return write::write_anew(model, positions);
+            return write::write_whole(model, positions);
         }
         moved.insert((one.part, one.object), (back, own));
     }

@@ -64,7 +64,7 @@ pub(super) fn colour_of(word: &str) -> Result<[f32; 4], String> {
         return Ok([0.5, 0.5, 0.5, 1.0]);
     }
     let seen = || word.chars().take(40).collect::<String>();
-    let wrong = || format!("`{}` is no colour; #RRGGBB or #RRGGBBAA is needed", seen());
+    let wrong = || format!("`{}` is not a colour; #RRGGBB or #RRGGBBAA is needed", seen());
     if !digits.is_ascii() || !(digits.len() == 6 || digits.len() == 8) {
         return Err(wrong());
     }

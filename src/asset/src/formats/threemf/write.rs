@@ -1,4 +1,4 @@
-//! Writes the objects of a 3MF anew after an edit; everything else of the model part stays as written.
+//! Writes the objects of a 3MF again after an edit; everything else of the model part stays as written.
 
 use super::build::push_neutral;
 use super::looks::{RunOrigins, UseProperties};
@@ -7,10 +7,9 @@ use super::package::{FORMAT, Package};
 use super::part::PropertyGroup;
 use super::scene::{MeshUse, PrintNotes, stale_parts, unwritable, uses_of_objects};
 use crate::codec::EditedOutput;
-use crate::edited::{EditedModel, PrimitiveRun, VertexBlend};
+use crate::edited::{EditedModel, PrimitiveRun, VertexBlend, with_whole_model};
 use crate::files::{ReadWatch, counted};
 use crate::neutral::{CAP_COLOUR, NeutralModel};
-use crate::write::with_whole_model;
 use crate::{Error, Limits, Model, WrittenFiles, WrittenWarning};
 use glam::DVec3;
 use pliant_exec::progress::Silent;
@@ -18,7 +17,7 @@ use pliant_mesh::NONE;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A model whose uses of one mesh have moved apart, as an edited one that keeps all of its triangles.
-pub(super) fn write_anew(model: &Model, positions: &[DVec3]) -> Result<WrittenFiles, Error> {
+pub(super) fn write_whole(model: &Model, positions: &[DVec3]) -> Result<WrittenFiles, Error> {
     with_whole_model(model, |edited| Rewrite::new(edited, positions)?.finish(|_| Ok(None)))
 }
 
@@ -28,7 +27,7 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<WrittenFiles, Er
     Rewrite::new(edited, positions)?.finish(|base| (output.neutral_base)(base).map(Some))
 }
 
-/// Writes the objects of the first base's model part anew.
+/// Writes the objects of the first base's model part again.
 struct Rewrite<'a> {
     edited: &'a EditedModel<'a>,
     positions: &'a [DVec3],
@@ -180,7 +179,7 @@ impl<'a> Rewrite<'a> {
                 mesh.triangle(corners, property);
             }
         }
-        Ok((mesh.count > 0).then_some(mesh))
+        Ok((!mesh.is_empty()).then_some(mesh))
     }
 
     /// The property of a triangle of a run: that of the old triangle that it lies on, at corners that are new of the nearest old one.
@@ -284,7 +283,7 @@ impl<'a> Rewrite<'a> {
         })
     }
 
-    /// Says what of the parts is not written anew.
+    /// Says what of the parts is not written again.
     fn lost(&self) -> Option<WrittenWarning> {
         let scene = &self.notes.scene;
         let counts = uses_of_objects(&self.notes.uses);
@@ -323,7 +322,7 @@ impl<'a> Rewrite<'a> {
             .chain(foreign)
             .chain(self.text.lost.iter().cloned())
             .collect();
-        let message = format!("objects are written anew, without: {}", all.join(", "));
+        let message = format!("objects are written again, without: {}", all.join(", "));
         (!all.is_empty()).then(|| WrittenWarning::new("extension-dropped", message, ""))
     }
 }

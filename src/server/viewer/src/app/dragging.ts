@@ -97,7 +97,7 @@ export function applyOptions(): void {
   stream?.setOptions(draggingOptions());
 }
 
-/** What is told of a handle at a pose. */
+/** A handle at a pose, as the server takes it. */
 function entryAt(id: string, pose: HandlePose): PoseEntry {
   const { pivot, guide } = s.handles.peek().find((handle) => handle.id === id) ?? { pivot: [0, 0, 0] as const, guide: undefined };
   return entryOf({ id, pose, pivot, guide }, origin());

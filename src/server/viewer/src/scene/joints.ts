@@ -59,7 +59,7 @@ export class Joints {
     this.stage.request();
   }
 
-  /** Lets go of the joint that is dragged; what the button does until it is let go is nobody's. */
+  /** Lets go of the joint that is dragged; the button does nothing more until it is released. */
   letGo(): void {
     if (this.held === undefined) return;
     this.held = undefined;

@@ -2185,8 +2185,8 @@ export const GuideSchema: GenMessage<Guide> = /*@__PURE__*/
   messageDesc(file_pliant_v1_pliant, 21);
 
 /**
- * A smooth curve through points. A vertex keeps its offset from the nearest point of the curve in a frame that goes along without
- * turning about it. Beyond the ends the curve goes straight on.
+ * A smooth curve through points. A vertex keeps its offset from the nearest point of the curve in a frame carried along it that
+ * does not turn about it. Beyond the ends the curve goes straight on.
  *
  * @generated from message pliant.v1.Guide.Curve
  */
