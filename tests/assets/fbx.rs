@@ -256,7 +256,7 @@ fn results_are_no_fbx() {
         .expect_err("it is not written");
     assert_eq!(
         refused.to_string(),
-        "cannot write fbx: fbx is read, not written; choose glb, gltf, obj, ply, off, stl or 3mf"
+        "cannot write fbx: fbx is read, not written; choose glb, gltf, obj, ply, off, stl, 3mf, splat or spz"
     );
     for format in Format::ALL {
         assert!(model.write(&model.positions, format).is_ok(), "{format}");
