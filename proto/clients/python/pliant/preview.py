@@ -31,12 +31,12 @@ _Doubles = npt.NDArray[np.float64]
 
 
 def surface_format(opened: str) -> str:
-    """The format in which the server writes the triangles of such a model by itself: a PLY would come back in its own form."""
+    """The format in which the server rewrites the triangles of such a model: a PLY would come back in its own form."""
     return "glb" if opened in ("ply", "splat", "spz") else "ply"
 
 
 def triangles_of(file: bytes) -> tuple[_Doubles, npt.NDArray[np.int64]]:
-    """Vertices and triangles of a binary PLY or a GLB as the server writes it by itself."""
+    """Vertices and triangles of a binary PLY or a GLB as the server rewrites it."""
     return _of_glb(file) if file[:4] == b"glTF" else _of_ply(file)
 
 

@@ -1,7 +1,7 @@
 /**
  * The triangles of a session's model, with places and normals, in the order in which frames carry its vertices.
  *
- * It is read from a file that the server writes by itself: a PLY, or a GLB of models that came as PLY and would come back in their own form.
+ * It is read from a file that the server rewrites: a PLY, or a GLB of models that came as PLY and would come back in their own form.
  */
 
 import type { Vector } from "./rotation.js";
@@ -16,7 +16,7 @@ export interface Topology {
   readonly indices: Uint32Array<ArrayBuffer>;
 }
 
-/** The format in which the server writes the triangles of such a model by itself. */
+/** The format in which the server rewrites the triangles of such a model. */
 export function topologyFormat(opened: string | undefined): "glb" | "ply" {
   return ["ply", "splat", "spz"].includes(opened ?? "") ? "glb" : "ply";
 }
