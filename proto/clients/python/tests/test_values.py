@@ -253,6 +253,10 @@ EDITS = [
     ({"remesh": {"edge_length": 0.1}}, {"remesh": {"edgeLength": 0.1}}),
     ({"smooth": {"kind": "relax"}}, {"smooth": {"kind": "RELAX"}}),
     ({"merge": {"session": "x", "transform": SIZE}}, {"merge": {"session": "x", "transform": SIZE.ravel()}}),
+    (
+        {"wrap": {"session": "x", "landmarks": [(3, (0, 1, 2))], "in_place": True}},
+        {"wrap": {"session": "x", "landmarks": [{"ownVertex": 3, "targetPoint": [0, 1, 2]}], "inPlace": True}},
+    ),
     ({"insert_curve": {"points": [(0, 0, 0), (1, 2, 3)]}}, {"insertCurve": {"points": [0, 0, 0, 1, 2, 3]}}),
     ({"weld": {"tolerance": 0.1}}, {"weld": {"tolerance": 0.1}}),
     ({"clean": {"keep_largest": 1}}, {"clean": {"keepLargest": 1}}),

@@ -66,11 +66,11 @@ export async function play({ browser, url, server, log }) {
   }
   await sheet.page.getByLabel("Stiffness", { exact: true }).click({ clickCount: 3 });
   await sheet.page.keyboard.type("900\n");
-  // The handle, and the shape that follows.
+  // The handle, and the shape that follows; undo and redo had revisions of their own.
   const after = (count) => String(Number(bent.revision) + count);
-  await sheet.until("it is taken", ({ busy, revision }) => !busy && revision === after(2));
+  await sheet.until("it is taken", ({ busy, revision }) => !busy && revision === after(4));
   await sheet.page.keyboard.press("Control+z");
-  await sheet.until("the page undoes it", ({ busy, revision }) => !busy && revision === after(1));
+  await sheet.until("the page undoes it", ({ busy, revision }) => !busy && revision === after(3));
 
   // A lattice in its place.
   await sheet.page.getByRole("button", { name: /^Remove Curve/ }).click();

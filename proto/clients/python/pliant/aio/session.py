@@ -280,6 +280,7 @@ class Session(Declared):
 
     async def wrap(
         self,
+        /,
         target: str | os.PathLike[str] | bytes | None = None,
         *,
         session: str = "",
