@@ -3,7 +3,7 @@
 use super::error::Error;
 use super::handle::HandlePose;
 use super::resolved_handles::ResolvedHandles;
-use super::target_vertices::Pulls;
+use super::target_vertices::{Pulls, no_guide};
 use super::vertex_targets::VertexTargets;
 use crate::deform::{DeformableBody, HandleConstraint, HoldTargets};
 use crate::exec::Exec;
@@ -40,10 +40,7 @@ impl ResolvedHandles {
         let id = &self.set.handles[handle].id;
         match &self.targets[handle] {
             Some(points) => points.check_guide(&pose, id, field)?,
-            None if pose.guide.is_some() => {
-                let problem = format!("is given, but handle \"{id}\" has no guide; a handle is set with it");
-                return Err(Error::invalid(format!("{field}.guide"), problem));
-            }
+            None if pose.guide.is_some() => return Err(no_guide(id, field)),
             None => {}
         }
         if let (Some(targets), Some(points)) = (&mut pose.targets, &self.targets[handle])

@@ -13,7 +13,7 @@ use glam::{DVec3, Vec3};
 pub(super) type HeldBytesAdmission<'a> = dyn Fn(u64) -> Result<(), Error> + 'a;
 
 /// Shares of the model's area that [`StiffnessPer::Area`] counts in.
-const SHARES: f64 = 10_000.0;
+pub(super) const SHARES: f64 = 10_000.0;
 
 /// What a handle with targets pulls.
 #[derive(Debug, Clone)]
@@ -78,10 +78,7 @@ impl TargetVertices {
     pub fn check_guide(&self, pose: &HandlePose, id: &str, field: &str) -> Result<(), Error> {
         let (shape, guide) = match (&pose.guide, &self.guide) {
             (None, None) => return Ok(()),
-            (Some(_), None) => {
-                let problem = format!("is given, but handle \"{id}\" has no guide; a handle is set with it");
-                return Err(Error::invalid(format!("{field}.guide"), problem));
-            }
+            (Some(_), None) => return Err(no_guide(id, field)),
             (_, Some(_)) if pose.targets.as_ref().is_some_and(|t| !t.positions.is_empty()) => {
                 let problem = format!("are given, but handle \"{id}\" has a guide, which gives them");
                 return Err(Error::invalid(format!("{field}.targets.positions"), problem));
@@ -167,7 +164,7 @@ pub(super) struct Pulls {
 }
 
 /// By solver vertex: its share of the model's area, times [`SHARES`].
-fn shares_of_area(mesh: &Mesh) -> Vec<f64> {
+pub(super) fn shares_of_area(mesh: &Mesh) -> Vec<f64> {
     let mut areas = vec![0.0; mesh.positions.len()];
     let mut all = 0.0;
     for triangle in &mesh.triangles {
@@ -179,6 +176,12 @@ fn shares_of_area(mesh: &Mesh) -> Vec<f64> {
     let scale = if all > 0.0 { SHARES / all } else { 0.0 };
     areas.iter_mut().for_each(|area| *area *= scale);
     areas
+}
+
+/// The refusal of the shape of a guide that handle `id` does not have; `field` is the pose's.
+pub(super) fn no_guide(id: &str, field: &str) -> Error {
+    let problem = format!("is given, but handle \"{id}\" has no guide; a handle is set with it");
+    Error::invalid(format!("{field}.guide"), problem)
 }
 
 /// Refuses a handle with targets that asks for what it cannot do.

@@ -10,6 +10,7 @@ use crate::deform::{
     SolveState, Transform, VolumeMode, unfold_faces,
 };
 use crate::engine::error::Error;
+use crate::engine::target_vertices::{SHARES, shares_of_area};
 use crate::exec::Exec;
 use crate::mesh::Mesh;
 use crate::mesh::query::TriangleBvh;
@@ -18,7 +19,6 @@ use std::sync::OnceLock;
 
 /// What a share of 1/10000 of the template's area is pulled with, level by level.
 pub(super) const LEVELS: [f64; 5] = [0.02, 0.1, 0.4, 1.5, 6.0];
-const SHARES: f64 = 10_000.0;
 /// Steps of a level: each finds closest points again.
 pub(super) const STEPS: usize = 4;
 /// What a landmark is pulled with before the first level and at it, and at the last one.
@@ -188,7 +188,7 @@ impl<'a> WrapFit<'a> {
         let nodes = &self.solver.anchored;
         let mut sums = vec![Wanted::default(); nodes.len()];
         for landmark in self.task.landmarks {
-            let at: DVec3 = (landmark.own.iter()).map(|(v, w)| self.now[*v as usize] * *w).sum();
+            let at = landmark.place(&self.now);
             for &(vertex, share) in landmark.own.iter().filter(|c| c.1 > 0.0) {
                 let Ok(k) = nodes.binary_search(&vertex) else {
                     continue;
@@ -208,21 +208,6 @@ impl<'a> WrapFit<'a> {
 /// From one number to another, in equal ratios.
 fn between([from, to]: [f64; 2], along: f64) -> f64 {
     from * libm::pow(to / from, along)
-}
-
-/// By vertex: its area, in shares of the whole.
-fn shares_of_area(mesh: &Mesh) -> Vec<f64> {
-    let mut shares = vec![0.0; mesh.positions.len()];
-    let mut all = 0.0;
-    for triangle in &mesh.triangles {
-        let [a, b, c] = triangle.map(|v| mesh.positions[v as usize]);
-        let area = (b - a).cross(c - a).length();
-        all += area;
-        triangle.iter().for_each(|v| shares[*v as usize] += area / 3.0);
-    }
-    let scale = if all > 0.0 { SHARES / all } else { 0.0 };
-    shares.iter_mut().for_each(|share| *share *= scale);
-    shares
 }
 
 /// The body in the shape whose edges are kept, with a pull on every vertex and on the corners of landmarks.
