@@ -1,8 +1,8 @@
-//! What ties cost: `cargo test --release -p pliant-core --test parts -- --ignored cost --nocapture`. In soups in which every
+//! What ties cost: `cargo test --release -p pliant-core --test engine -- --ignored cost --nocapture`. In soups in which every
 //! triangle is a part of its own, time and memory stay in proportion to them.
 
 use crate::data;
-use crate::sweep::models_of_parts;
+use super::sweep::models_of_parts;
 use glam::DVec3;
 use pliant_core::asset::shapes::Shape;
 use pliant_core::asset::{Limits, Model};
@@ -127,7 +127,7 @@ fn a_hundred_thousand_parts_of_one_triangle_have_ties_in_proportion() {
     assert!(few > 0 && many < 11 * few, "{few} then {many}");
 }
 
-/// `cargo test --release -p pliant-core --test parts -- --ignored million --nocapture`
+/// `cargo test --release -p pliant-core --test engine -- --ignored million --nocapture`
 #[test]
 #[ignore = "prints figures"]
 fn a_million_parts_of_one_triangle() {

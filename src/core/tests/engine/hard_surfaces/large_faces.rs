@@ -1,6 +1,6 @@
 //! Faces too large for a bend are reported, and divided on request.
 
-use crate::models::{LongSide, open_shape};
+use super::models::{LongSide, open_shape};
 use glam::DVec3;
 use pliant_core::asset::shapes;
 use pliant_core::engine::{

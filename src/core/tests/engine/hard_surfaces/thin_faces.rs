@@ -1,6 +1,6 @@
 //! Needles and caps do not open, and how finely a part is divided does not decide where it goes.
 
-use crate::models::{LongSide, data_models, open_model, open_shape};
+use super::models::{LongSide, data_models, open_model, open_shape};
 use glam::DVec3;
 use pliant_core::asset::shapes;
 use pliant_core::deform::NeedlesAndCaps;

@@ -1,6 +1,6 @@
 //! Frames are the same whatever range is asked for, however many blocks and threads there are.
 
-use crate::arm::{animate, arm_rig, clip_text, frames, open_arm};
+use super::arm::{animate, arm_rig, clip_text, frames, open_arm};
 use pliant_core::engine::{BLOCK_FRAMES, digest};
 use pliant_core::exec::Exec;
 use pliant_core::pool::Pool;

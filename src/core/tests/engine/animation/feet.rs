@@ -1,6 +1,6 @@
 //! Feet of figures with other proportions than those of who was recorded.
 
-use crate::walker::{FRAMES, RATE, RecordedFeet, STEP, figure_rig, walk, walk_of};
+use super::walker::{FRAMES, RATE, RecordedFeet, STEP, figure_rig, walk, walk_of};
 use glam::DVec3;
 use pliant_core::motion::rig::{DriveOptions, MotionRig, RigDriver};
 

@@ -1,6 +1,6 @@
 //! What holds of every graph with ties, whatever is tied.
 
-use crate::shapes::{axe, block, moved, slices, strapped_ball, together, unwelded};
+use super::shapes::{axe, block, moved, slices, strapped_ball, together, unwelded};
 use glam::{DQuat, DVec3};
 use pliant_core::asset::shapes::Shape;
 use pliant_core::exec::Exec;

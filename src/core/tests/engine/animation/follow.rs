@@ -1,6 +1,6 @@
 //! Bones of the model follow those of the clip, whichever way it faces.
 
-use crate::arm::{ENDS, animate, arm_rig, clip_text, frames, open_arm};
+use super::arm::{ENDS, animate, arm_rig, clip_text, frames, open_arm};
 use glam::DVec3;
 use pliant_core::exec::Exec;
 use pliant_core::motion::bvh::{ClipLimits, read_bvh};

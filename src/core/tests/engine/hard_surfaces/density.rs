@@ -1,6 +1,6 @@
 //! How finely a part is divided does not decide where it goes.
 
-use crate::models::{LongSide, data_models, open_model, open_shape, open_surface};
+use super::models::{LongSide, data_models, open_model, open_shape, open_surface};
 use glam::DVec3;
 use pliant_core::asset::shapes;
 use pliant_core::edit::SubdivisionScheme;

@@ -1,6 +1,6 @@
 //! Parts of a model as its user has them: opened, posed, edited, taken back.
 
-use crate::shapes::{axe, block, obj, offset_errors, quantile, side_by_side, slices, together};
+use super::shapes::{axe, block, obj, offset_errors, quantile, side_by_side, slices, together};
 use glam::DVec3;
 use pliant_core::asset::shapes::Shape;
 use pliant_core::edit::{KeptSide, SubdivisionScheme};
@@ -45,7 +45,7 @@ fn torn(shape: &Shape, options: &OpenOptions) -> f64 {
     let shape = deformer
         .commit([("top", bend())], &SolveSettings::default(), &exec)
         .expect("solved");
-    let mesh = crate::shapes::unwelded(&(deformer.rest().to_vec(), deformer.geometry().triangles.clone()));
+    let mesh = super::shapes::unwelded(&(deformer.rest().to_vec(), deformer.geometry().triangles.clone()));
     let pairs = side_by_side(&mesh, 0.003 * deformer.diagonal(), &pool);
     assert!(!pairs.is_empty(), "parts lie side by side");
     quantile(&offset_errors(&pairs, &mesh.positions, &shape.positions), 0.95) / deformer.diagonal()

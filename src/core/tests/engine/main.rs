@@ -1,0 +1,18 @@
+//! Laws of the engine: what a user of the crate sees of sessions, edits, handles, clips and skins. Counts of allocations are in a
+//! program of their own, because they replace the allocator.
+
+mod adopt;
+mod animation;
+mod carry;
+#[expect(dead_code, reason = "other tests read single files")]
+#[path = "../../../../tests/support/data.rs"]
+mod data;
+mod guides;
+mod hard_surfaces;
+mod lines;
+mod parts;
+mod passengers;
+mod skinning;
+mod splats;
+mod vertex_targets;
+mod wrap;
