@@ -90,7 +90,7 @@ pub fn run_and_write(
     exec: &Exec<'_>,
     millis: &(dyn Fn() -> f64 + Sync),
 ) -> Result<BatchOutcome, Error> {
-    let options = DeformOptions::check(&job.options.unwrap_or_default(), "options", u32::MAX)?;
+    let options = DeformOptions::check(&job.pose_options(), "options", u32::MAX)?;
     job.expect.as_ref().map_or(Ok(()), |expect| expect.check("expect"))?;
     let todo = steps_of(job)?;
     let BatchOutput { format, mut each_step } = output;
@@ -419,6 +419,13 @@ pub fn unmet_expectations(expect: Option<&pb::Expect>, report: &pb::Report) -> (
     let flipped = quality.flipped_triangles;
     if let Some(most) = expect.flipped_triangles.filter(|most| flipped > *most) {
         unmet.push(format!("flippedTriangles is {flipped}, at most {most} expected"));
+    }
+    match (expect.new_self_intersections, quality.new_self_intersections) {
+        (Some(most), Some(crossing)) if crossing > most => {
+            unmet.push(format!("newSelfIntersections is {crossing}, at most {most} expected"));
+        }
+        (Some(_), None) => unmet.push("newSelfIntersections is expected but not counted: the last step is no pose".into()),
+        _ => {}
     }
     if let Some(most) = expect.volume_change.filter(|most| quality.volume_change.abs() > *most) {
         // As `{:?}`: what is huge or tiny comes with an exponent.

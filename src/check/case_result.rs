@@ -80,11 +80,17 @@ impl CaseResult {
         if self.has_metric(Metric::VolumeChange) {
             self.numbers.insert(Metric::VolumeChange, quality.volume_change);
         }
+        let crossing = quality.new_self_intersections.map(f64::from);
+        (self.numbers).extend(crossing.map(|pairs| (Metric::NewSelfIntersections, pairs)));
     }
 
     /// Whether the metric applies to this shape, known or not.
     pub fn has_metric(&self, metric: Metric) -> bool {
-        metric != Metric::VolumeChange || !self.open_surface
+        match metric {
+            Metric::VolumeChange => !self.open_surface,
+            Metric::NewSelfIntersections => self.numbers.contains_key(&metric),
+            _ => true,
+        }
     }
 
     /// Describes what is not finite; `None` when all is finite.

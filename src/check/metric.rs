@@ -32,6 +32,8 @@ pub enum Metric {
     AreaChange,
     /// Triangles that turned over against the rest shape.
     FoldedTriangles,
+    /// Pairs of triangles that cross each other and do not in the rest shape; known where the job counts them.
+    NewSelfIntersections,
     /// Largest distance of a vertex that a hard handle holds from where the handle puts it.
     ConstraintError,
     /// Relative residual that the solver reached.
@@ -93,6 +95,7 @@ impl Named for Metric {
         (Self::VolumeChange, "volumeChange"),
         (Self::AreaChange, "areaChange"),
         (Self::FoldedTriangles, "foldedTriangles"),
+        (Self::NewSelfIntersections, "newSelfIntersections"),
         (Self::ConstraintError, "constraintError"),
         (Self::Residual, "residual"),
         (Self::Cycles, "cycles"),
@@ -120,7 +123,7 @@ impl Metric {
             }
             Self::ConstraintError => (MetricUnit::Diagonal, MetricKind::Growth),
             Self::Residual => (MetricUnit::Ratio, MetricKind::Growth),
-            Self::FoldedTriangles | Self::Cycles | Self::Bytes => (MetricUnit::Count, MetricKind::Growth),
+            Self::FoldedTriangles | Self::NewSelfIntersections | Self::Cycles | Self::Bytes => (MetricUnit::Count, MetricKind::Growth),
         }
     }
 

@@ -155,6 +155,12 @@ fn blessing_says_what_it_changes_and_leaves_what_is_the_same() {
     reply.says(&["volumeChange is"]);
     let unmet = folder.fails(&[]);
     unmet.says(&["expectation: volumeChange"]);
+    // Crossings are counted where they are expected to be few, and compared with those of the golden.
+    let text = text.replacen("\"volumeChange\": 1e-9", "\"newSelfIntersections\": 0", 1);
+    folder.write("bar.case.json", &text);
+    let counted = folder.passes("--bless");
+    counted.says(&["newSelfIntersections 0"]);
+    folder.passes(&[]);
 }
 
 #[test]

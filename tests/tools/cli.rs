@@ -178,6 +178,39 @@ fn an_expectation_that_does_not_hold_is_exit_1() {
 }
 
 #[test]
+fn a_job_that_expects_no_new_crossings_has_them_counted() {
+    let folder = Workplace::empty();
+    // A sheet, and a blade beside it.
+    let mut model = String::new();
+    for v in 0..25 {
+        model += &format!("v {} {} 0\n", v / 5 - 2, v % 5 - 2);
+    }
+    for v in (1..20).filter(|v| v % 5 != 0) {
+        model += &format!("f {v} {} {} {}\n", v + 5, v + 6, v + 1);
+    }
+    model += "v 3 -1.1 -0.5\nv 3 0.7 -0.5\nv 3 0.7 0.5\nf 26 27 28\n";
+    folder.put("model.obj", model);
+    let job = |x: f64, most: u32| {
+        format!(
+            r#"{{"handles": [{{"id": "sheet", "region": {{"component": {{"index": 0}}}}}},
+                 {{"id": "blade", "region": {{"component": {{"index": 1}}}}, "pose": {{"translation": [{x}, 0, 0]}}}}],
+                "expect": {{"newSelfIntersections": {most}}}}}"#
+        )
+    };
+    let run = |job: String, code: i32| {
+        folder.put("job.json", job);
+        folder.run("deform model.obj --job job.json -o out.obj --force --json").exits(code)
+    };
+    let ran = run(job(-2.7, 0), 1);
+    ran.gives(&["newSelfIntersections is ", ", at most 0 expected"]);
+    let crossing = ran.json()["quality"]["newSelfIntersections"].as_u64().expect("a count");
+    assert!((1..20).contains(&crossing), "{crossing}");
+    run(job(-2.7, crossing as u32), 0);
+    let apart = run(job(-0.5, 0), 0).json();
+    assert_eq!(apart["quality"]["newSelfIntersections"], 0);
+}
+
+#[test]
 fn what_rides_along_is_reported_and_written_beside_the_result() {
     let folder = Workplace::new();
     // A plate over the head, and one under the feet.

@@ -155,7 +155,7 @@ impl RemoteSession<'_> {
                     let request = pb::SolveRequest {
                         session_id: String::new(),
                         pose: Some(pose.clone()),
-                        options: Some(options_for_floats(job.options.unwrap_or_default())),
+                        options: Some(options_for_floats(job.pose_options())),
                     };
                     let answer = self
                         .send_message(Method::POST, "/solve", BUFFER, &request)

@@ -335,6 +335,17 @@ fn placement(values: &[f64]) -> Result<DMat4, Error> {
     Ok(matrix)
 }
 
+impl pb::Job {
+    /// How the job's poses are solved: its options, with a count of crossings where the job expects few.
+    pub fn pose_options(&self) -> pb::Options {
+        let mut options = self.options.unwrap_or_default();
+        if self.expect.as_ref().is_some_and(|e| e.new_self_intersections.is_some()) {
+            options.output.get_or_insert_default().self_intersections = true;
+        }
+        options
+    }
+}
+
 impl pb::Expect {
     /// Refuses bounds that nothing could exceed, or everything, and a digest that no positions have. `place` is where the
     /// expectations stand.

@@ -140,7 +140,12 @@ def judged(job: pb.Job, digest: str, quality: pb.Quality | None) -> tuple[tuple[
     for name, asked in stored.items():
         if expect.HasField(asked):
             unchecked.append(f"{name} needs a stored result")
-    for name, asked in {"flippedTriangles": "flipped_triangles", "volumeChange": "volume_change"}.items():
+    measured = {
+        "flippedTriangles": "flipped_triangles",
+        "newSelfIntersections": "new_self_intersections",
+        "volumeChange": "volume_change",
+    }
+    for name, asked in measured.items():
         if not expect.HasField(asked):
             continue
         most = getattr(expect, asked)

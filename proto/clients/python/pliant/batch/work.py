@@ -131,7 +131,7 @@ def _run(client: Client, task: Task, where: list[str]) -> tuple[str, bytes | Non
                 where[0] = "create.passengers"
                 riders.carry(here, info.id)
             where[0] = f"steps[{k}]"
-            quality = _step(here, info.id, step, job.options)
+            quality = _step(here, info.id, step, job)
         where[0] = "create.passengers"
         riders.carry(here, info.id)
         where[0] = "result"
@@ -159,7 +159,7 @@ def _steps(job: pb.Job) -> list[pb.Step]:
     return [step for step in job.steps if step.WhichOneof("step") is not None]
 
 
-def _step(calls: Any, session: str, step: pb.Step, options: pb.Options) -> bytes | None:
+def _step(calls: Any, session: str, step: pb.Step, job: pb.Job) -> bytes | None:
     """Does a step; answers the quality of a pose."""
     if step.WhichOneof("step") == "edit":
         request = pb.EditRequest()
@@ -168,12 +168,13 @@ def _step(calls: Any, session: str, step: pb.Step, options: pb.Options) -> bytes
         calls.one("Edit", request, keyed=True)
         return None
     how = pb.Options()
-    how.CopyFrom(options)
+    how.CopyFrom(job.options)
     how.ClearField("progressive")
     how.ClearField("window")
     # Of the frame nothing but its quality is of interest: what does not move need not travel.
     how.ClearField("output")
-    how.output.self_intersections = options.output.self_intersections
+    expected = job.expect.HasField("new_self_intersections")
+    how.output.self_intersections = job.options.output.self_intersections or expected
     parts = calls.many("Solve", pb.SolveRequest(session_id=session, pose=step.pose, options=how), keyed=True)
     for part in parts:
         if part.HasField("quality"):

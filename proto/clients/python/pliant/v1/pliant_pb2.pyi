@@ -1569,20 +1569,22 @@ class MakeRigResponse(_message.Message):
     def __init__(self, rig: _Optional[_Union[Rig, _Mapping]] = ..., joints: _Optional[_Iterable[_Union[MakeRigResponse.Joint, _Mapping]]] = ..., source: _Optional[str] = ..., up: _Optional[str] = ..., front: _Optional[str] = ..., warnings: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class Expect(_message.Message):
-    __slots__ = ("max_distance", "mean_distance", "normal_degrees", "flipped_triangles", "volume_change", "digest")
+    __slots__ = ("max_distance", "mean_distance", "normal_degrees", "flipped_triangles", "volume_change", "digest", "new_self_intersections")
     MAX_DISTANCE_FIELD_NUMBER: _ClassVar[int]
     MEAN_DISTANCE_FIELD_NUMBER: _ClassVar[int]
     NORMAL_DEGREES_FIELD_NUMBER: _ClassVar[int]
     FLIPPED_TRIANGLES_FIELD_NUMBER: _ClassVar[int]
     VOLUME_CHANGE_FIELD_NUMBER: _ClassVar[int]
     DIGEST_FIELD_NUMBER: _ClassVar[int]
+    NEW_SELF_INTERSECTIONS_FIELD_NUMBER: _ClassVar[int]
     max_distance: float
     mean_distance: float
     normal_degrees: float
     flipped_triangles: int
     volume_change: float
     digest: str
-    def __init__(self, max_distance: _Optional[float] = ..., mean_distance: _Optional[float] = ..., normal_degrees: _Optional[float] = ..., flipped_triangles: _Optional[int] = ..., volume_change: _Optional[float] = ..., digest: _Optional[str] = ...) -> None: ...
+    new_self_intersections: int
+    def __init__(self, max_distance: _Optional[float] = ..., mean_distance: _Optional[float] = ..., normal_degrees: _Optional[float] = ..., flipped_triangles: _Optional[int] = ..., volume_change: _Optional[float] = ..., digest: _Optional[str] = ..., new_self_intersections: _Optional[int] = ...) -> None: ...
 
 class Step(_message.Message):
     __slots__ = ("pose", "edit")
