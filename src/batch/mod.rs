@@ -279,12 +279,12 @@ impl<'a> BatchRun<'a> {
             let problem = "is for sessions, which take a shape in parts; a job has it whole";
             return Err(Error::invalid(field, problem));
         }
-        if on == EditedShape::Current || edit.kind() == EditKind::Adopt {
+        let seen = self.deformer.seen_shape(&command, exec)?;
+        if on == EditedShape::Current || matches!(edit.kind(), EditKind::Adopt | EditKind::Wrap) {
             // What the edit sees becomes the rest pose, of what rides along too.
-            let seen = self.deformer.edited_shape(&command, exec)?;
-            (self.riders).move_along(&self.deformer, &seen.positions, exec)?;
+            (self.riders).move_along(&self.deformer, &seen.shape.positions, exec)?;
         }
-        let outcome = self.deformer.edit(&command, exec)?;
+        let outcome = self.deformer.edit_seen(&command, &seen, exec)?;
         self.is_solved &= outcome.solved.is_some();
         let noticed = outcome.report.warnings.iter();
         (self.warned).extend(noticed.map(|w| format!("steps[{k}]: {}: {}", w.code, w.message)));
@@ -424,7 +424,9 @@ pub fn unmet_expectations(expect: Option<&pb::Expect>, report: &pb::Report) -> (
         (Some(most), Some(crossing)) if crossing > most => {
             unmet.push(format!("newSelfIntersections is {crossing}, at most {most} expected"));
         }
-        (Some(_), None) => unmet.push("newSelfIntersections is expected but not counted: the last step is no pose".into()),
+        (Some(_), None) => {
+            unmet.push("newSelfIntersections is expected but not counted: the last step must be a pose".into())
+        }
         _ => {}
     }
     if let Some(most) = expect.volume_change.filter(|most| quality.volume_change.abs() > *most) {

@@ -214,10 +214,15 @@ impl NamedFiles {
 /// Most files that a model may name.
 const MOST_COMPANIONS: usize = 10_000;
 
+/// Whether a file is motion capture and no model.
+pub(super) fn is_bvh(file: &[u8]) -> bool {
+    file.trim_ascii_start().starts_with(b"HIERARCHY")
+}
+
 /// Reads a model and the files beside it that it names: buffers and images. Nothing outside the model's folder is opened.
 pub(super) fn read_model(path: &Path) -> Result<FileSet, CliFailure> {
     let main = read_file(path)?;
-    if main.trim_ascii_start().starts_with(b"HIERARCHY") {
+    if is_bvh(&main) {
         let place = path.display();
         let problem =
             format!("it is a BVH clip, not a model; `pliant animate MODEL --bvh {place}` plays it on a model");

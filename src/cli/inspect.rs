@@ -1,25 +1,30 @@
 //! `pliant inspect`: what the solver sees in a model.
 
-use super::input_files::read_model;
+use super::input_files::{in_file, is_bvh, read_file, with_companions};
 use super::terminal::{CliFailure, StageSpinner, ThreadArgs, print_text, print_value};
 use crate::batch::{self, ModelContents};
 use crate::engine::DeformerLimits;
 use crate::exec::Exec;
 use crate::mesh::{brief_number, grouped_count};
+use crate::motion::MotionClip;
+use crate::motion::bvh::{ClipLimits, read_bvh};
 use crate::wire::{json, pb};
 use clap::Args;
-use serde_json::Value;
+use glam::DVec3;
+use serde_json::{Value, json};
 use std::path::PathBuf;
 
 /// Primitives that the text lists.
 const NAMED_PRIMITIVES: usize = 32;
 /// Clips, skins, materials and images that the text lists, of each.
 const NAMED_CONTENTS: usize = 16;
+/// Joints of a recording that the text lists.
+const NAMED_JOINTS: usize = 40;
 
 /// Arguments of `pliant inspect`.
 #[derive(Debug, Args)]
 pub struct InspectArgs {
-    /// Model file: glb (or vrm), gltf, obj, ply, off, stl, 3mf, fbx, splat or spz
+    /// Model file: glb (or vrm), gltf, obj, ply, off, stl, 3mf, fbx, splat or spz; or a recording: bvh
     model: PathBuf,
     /// Print the statistics as JSON on stdout
     #[arg(long)]
@@ -30,7 +35,16 @@ pub struct InspectArgs {
 
 pub(super) fn run_inspect(args: &InspectArgs) -> Result<(), CliFailure> {
     let pool = args.threads.start_pool()?;
-    let files = read_model(&args.model)?;
+    let main = read_file(&args.model)?;
+    if is_bvh(&main) {
+        let clip = read_bvh(&main, &ClipLimits::default()).map_err(|e| in_file(&args.model, e))?;
+        return if args.json {
+            print_value(&clip_facts(&clip, main.len()))
+        } else {
+            print_text(&describe_clip(&clip, main.len()))
+        };
+    }
+    let files = with_companions(&args.model, main)?;
     let spinner = StageSpinner::new(args.json);
     let (found, contents) = batch::inspect(
         files,
@@ -49,6 +63,74 @@ pub(super) fn run_inspect(args: &InspectArgs) -> Result<(), CliFailure> {
     }
     let contents = contents.as_ref().map(describe_contents).unwrap_or_default();
     print_text(&describe_inspection(&found, contents))
+}
+
+/// The box of a recording's rest pose, in units of the clip.
+fn rest_size(clip: &MotionClip) -> DVec3 {
+    let places = clip.skeleton.world_transforms(&clip.skeleton.rest_pose());
+    let places = || places.iter().map(|place| place.translation);
+    places().fold(DVec3::NEG_INFINITY, DVec3::max) - places().fold(DVec3::INFINITY, DVec3::min)
+}
+
+/// How far the first joint goes from the beginning to the end, in units of the clip.
+fn root_travel(clip: &MotionClip) -> DVec3 {
+    let root = |seconds: f64| {
+        clip.pose_at(seconds)
+            .first()
+            .map_or(DVec3::ZERO, |pose| pose.translation)
+    };
+    root(clip.duration) - root(0.0)
+}
+
+/// What a recording holds, for programs.
+fn clip_facts(clip: &MotionClip, bytes: usize) -> Value {
+    let joints = clip.skeleton.joints.iter();
+    json!({"clip": {
+        "format": "bvh",
+        "bytes": bytes,
+        "frames": clip.recorded.map(|r| r.count),
+        "frameSeconds": clip.recorded.map(|r| r.interval),
+        "seconds": clip.duration,
+        "joints": joints.map(|joint| json!({"name": joint.name, "parent": joint.parent})).collect::<Vec<_>>(),
+        "restSize": rest_size(clip).to_array(),
+        "rootTravel": root_travel(clip).to_array(),
+        "warnings": clip.warnings,
+    }})
+}
+
+/// What a recording holds, for people.
+fn describe_clip(clip: &MotionClip, bytes: usize) -> String {
+    let count = |n: usize| grouped_count(n as u64);
+    let numbers = |v: DVec3, between: &str| v.to_array().map(brief_number).join(between);
+    let named: Vec<&str> = (clip.skeleton.joints.iter().map(|joint| joint.name.as_str()))
+        .filter(|name| !name.is_empty())
+        .collect();
+    let shown = named.len().min(NAMED_JOINTS);
+    let more = match named.len() - shown {
+        0 => String::new(),
+        more => format!(" and {more} more, which --json lists"),
+    };
+    let mut text = String::new();
+    let mut line = |name: &str, value: String| text.push_str(&format!("{name:<22}{value}\n"));
+    line(
+        "format",
+        format!("bvh, {} bytes; `pliant animate --bvh` plays it", count(bytes)),
+    );
+    if let Some(recorded) = clip.recorded {
+        let rate = brief_number(1.0 / recorded.interval);
+        line("frames", format!("{} at {rate} a second", count(recorded.count)));
+    }
+    line("seconds", brief_number(clip.duration));
+    line(
+        "joints",
+        format!("{}: {}{more}", named.len(), named[..shown].join(", ")),
+    );
+    line("size of rest pose", numbers(rest_size(clip), " × "));
+    line("root moves by", format!("({})", numbers(root_travel(clip), ", ")));
+    clip.warnings
+        .iter()
+        .for_each(|warning| line("warning", warning.clone()));
+    text
 }
 
 /// What handles name a primitive by, and its size.

@@ -4,15 +4,19 @@ use crate::support::bench::pool;
 use crate::support::gltf_draft::Draft;
 use crate::support::gltf_parsed::{Parsed, parse};
 use crate::support::khronos;
-use crate::support::skinning::{ClipTime, draw, world_transforms};
+use crate::support::shapes::obj_text;
+use crate::support::skinning::{ClipTime, draw, list, world_transforms};
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
-use pliant::asset::{FileSet, Format, sample, shapes};
+use pliant::asset::{FileSet, Format, Limits, Model, sample, shapes};
 use pliant::batch::BatchOutcome;
 use pliant::engine::DeformerLimits;
 use pliant::exec::Exec;
 use pliant::progress::Silent;
 use pliant::wire::{Error, json as wire_json, pb};
 use serde_json::{Value, json};
+use std::collections::BTreeMap;
 
 const SOCKET: usize = 2;
 const LAMP: usize = 3;
@@ -403,5 +407,50 @@ fn a_node_rides_at_the_end_of_any_chain() {
     for (at, reported) in [(world, 0), (end, 1)] {
         let (reported, _) = frames(&outcome.report.passengers[reported])[0];
         assert!(at.translation.distance(reported) < 1e-5, "{at:?} {reported}");
+    }
+}
+
+#[test]
+fn a_wrap_takes_passengers_and_skeleton_along() {
+    let files = FileSet::single("figure.glb", sample::figure_glb().to_vec());
+    let read = |files: FileSet| Model::read(files, None, &Limits::default()).expect("a model");
+    let before = read(files.clone());
+    let body = before.geometry.primitives[0].vertices();
+    let aside = DVec3::new(5.0, 0.0, 2.0);
+    let own: Vec<DVec3> = before.positions[body.clone()].iter().map(|p| *p + aside).collect();
+    let mut triangles = before.geometry.triangles.clone();
+    triangles.retain(|t| t.iter().all(|v| body.contains(&(*v as usize))));
+    let scan = STANDARD.encode(obj_text(&(own, triangles)));
+    let job = json!({
+        "create": {"passengers": [{"primitivesNamed": "lod1"}, {"primitivesNamed": "hull"}, {"points": {"positions": [0, 1.5, 0]}}]},
+        "steps": [{"edit": {"wrap": {"model": scan}}}],
+    });
+    let outcome = run(files, &job);
+    let height = 1.8;
+    let moves = |what: &str, was: DVec3, now: DVec3| {
+        let off = (now - was).distance(aside);
+        assert!(off < 0.02 * height, "{what}: {was} to {now}");
+    };
+    let after = read(FileSet::single("out.glb", outcome.written.main.clone()));
+    assert_eq!(before.positions.len(), after.positions.len());
+    for primitive in before.geometry.primitives.iter().filter(|p| p.name != "lod2") {
+        for v in primitive.vertices() {
+            moves(&primitive.name, before.positions[v], after.positions[v]);
+        }
+    }
+    let point = &outcome.report.passengers[0].positions;
+    moves("point", DVec3::new(0.0, 1.5, 0.0), DVec3::from_slice(point));
+    let worlds = [sample::figure_glb(), &outcome.written.main].map(|glb| {
+        let file = parse(glb, &BTreeMap::new());
+        let world = world_transforms(&file, None).expect("nodes");
+        let joints = list(&list(&file.json["skins"])[0]["joints"]);
+        joints
+            .iter()
+            .map(|j| world[j.as_u64().expect("a node") as usize].translation)
+            .collect::<Vec<_>>()
+    });
+    assert_eq!(worlds[0].len(), worlds[1].len());
+    for (was, now) in worlds[0].iter().zip(&worlds[1]) {
+        moves("joint", *was, *now);
     }
 }

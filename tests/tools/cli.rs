@@ -199,7 +199,9 @@ fn a_job_that_expects_no_new_crossings_has_them_counted() {
     };
     let run = |job: String, code: i32| {
         folder.put("job.json", job);
-        folder.run("deform model.obj --job job.json -o out.obj --force --json").exits(code)
+        folder
+            .run("deform model.obj --job job.json -o out.obj --force --json")
+            .exits(code)
     };
     let ran = run(job(-2.7, 0), 1);
     ran.gives(&["newSelfIntersections is ", ", at most 0 expected"]);
@@ -380,7 +382,7 @@ fn arguments_of_other_programs_are_answered_with_those_of_this_one() {
     assert_eq!(picture("top", "top.png"), picture("0,90", "same.png"));
     folder.put("clip.bvh", "HIERARCHY\nROOT hips\n");
     folder.refused(
-        "inspect clip.bvh",
+        "render clip.bvh -o clip.png",
         &["it is a BVH clip, not a model; `pliant animate MODEL --bvh clip.bvh`"],
     );
 }

@@ -222,3 +222,28 @@ fn a_pose_that_pulls_tied_parts_apart_is_reported_in_the_report() {
         "{message}"
     );
 }
+
+#[test]
+fn a_recording_is_described_by_its_frames_joints_and_size() {
+    let folder = Workplace::empty();
+    let clip = "HIERARCHY\nROOT hips\n{\n OFFSET 0 1 0\n CHANNELS 3 Xposition Yposition Zposition\n JOINT spine\n {\n  OFFSET 0 2 0\n  \
+                CHANNELS 1 Yrotation\n  End Site\n  {\n   OFFSET 0 0.5 0\n  }\n }\n}\nMOTION\nFrames: 3\nFrame Time: 0.5\n\
+                1 1 0 0\n2 1 0 9\n4 1 0 30\n";
+    folder.put("clip.bvh", clip);
+    let text = folder.done("inspect clip.bvh").out;
+    for line in [
+        "frames                3 at 2 a second\n",
+        "seconds               1\n",
+        "joints                3: hips, spine, spine.end\n",
+        "size of rest pose     0 × 2.5 × 0\n",
+        "root moves by         (3, 0, 0)\n",
+    ] {
+        assert!(text.contains(line), "{line:?} in {text}");
+    }
+    let facts = folder.done("inspect clip.bvh --json").json();
+    let found = &facts["clip"];
+    assert_eq!((&found["frames"], &found["frameSeconds"]), (&json!(3), &json!(0.5)));
+    assert_eq!(found["joints"][1], json!({"name": "spine", "parent": 0}));
+    folder.put("short.bvh", clip.replacen("Frames: 3", "Frames: 4", 1));
+    folder.refused("inspect short.bvh", &["short.bvh: ", "4 frames are declared, 3 follow"]);
+}

@@ -61,9 +61,12 @@ impl SessionEdit {
     /// Puts the parts of a shape together: this edit adopts what `part` adds to it too.
     ///
     /// # Errors
-    /// [`Error::Invalid`] where the part does not begin where this one ends.
+    /// [`Error::Invalid`] where the part does not begin where this one ends, or adopts on another shape.
     pub fn join(mut self, part: SessionEdit) -> Result<SessionEdit, Error> {
         part.check_first(self.adopted_vertices())?;
+        if part.on != self.on {
+            return Err(Error::invalid("on", "is not that of the parts before"));
+        }
         if let (Edit::Adopt { positions }, Edit::Adopt { positions: more }) = (&mut self.edit, part.edit) {
             positions.extend(more);
         }
@@ -73,9 +76,7 @@ impl SessionEdit {
             adopt.positions = [&adopt.positions[..], &more.positions].concat().into();
             adopt.more = more.more;
         }
-        self.request.on = part.request.on;
         Ok(SessionEdit {
-            on: part.on,
             is_part: part.is_part,
             ..self
         })
@@ -89,7 +90,7 @@ impl SessionEdit {
         match &self.request.operation {
             Some(Operation::Adopt(adopt)) if adopt.first as usize != before => {
                 let problem = format!(
-                    "is {}, but the parts before have {before} vertices; another change of the session drops them",
+                    "is {}, but the parts before have {before} vertices; another change of the session drops them, and another shape in parts",
                     adopt.first
                 );
                 Err(Error::invalid("adopt.first", problem))
@@ -101,6 +102,14 @@ impl SessionEdit {
     /// Whether it adopts a part of a shape that others come before.
     pub fn is_later_part(&self) -> bool {
         matches!(&self.request.operation, Some(Operation::Adopt(adopt)) if adopt.first > 0)
+    }
+
+    /// The name of the shape that it adopts a part of.
+    pub fn shape_in_parts(&self) -> Option<&str> {
+        match &self.request.operation {
+            Some(Operation::Adopt(adopt)) => Some(&adopt.shape),
+            _ => None,
+        }
     }
 
     /// How many vertices it adopts.

@@ -114,11 +114,21 @@ pub fn edit_result(report: &EditReport) -> pb::EditResult {
     }
 }
 
+/// Longest name of a shape that comes in parts.
+const MOST_NAME_BYTES: usize = 64;
+
 /// Reads a shape that is given, or a part of one; whether there are as many vertices as the model has depends on that.
 fn adopt(adopt: &message::Adopt) -> Result<Edit, Error> {
     if adopt.positions.is_empty() && (adopt.first > 0 || adopt.more) {
         let problem = "is empty; positions are needed beside first and more";
         return Err(Error::invalid("adopt.positions", problem));
+    }
+    if (adopt.first > 0 || adopt.more) && !(1..=MOST_NAME_BYTES).contains(&adopt.shape.len()) {
+        let problem = format!(
+            "has {} bytes; a shape in parts needs a name that the caller makes up, of 1 to {MOST_NAME_BYTES} bytes, the same in all parts",
+            adopt.shape.len()
+        );
+        return Err(Error::invalid("adopt.shape", problem));
     }
     let positions = float_points(&adopt.positions, "adopt.positions")?;
     Ok(Edit::Adopt { positions })

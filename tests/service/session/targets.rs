@@ -2,7 +2,7 @@
 
 use super::fake::*;
 use super::real::{bar_files, bent_in};
-use pliant::engine::{Handle, HandlePose, HandleSet, Region, VertexTargets};
+use pliant::engine::{EditedShape, Handle, HandlePose, HandleSet, Region, VertexTargets};
 use pliant::session::store::StoreLocation;
 use pliant::session::{Manager, OpenDeformer, SessionConfig};
 use pliant::wire::{PoseCommit, SessionEdit, StreamRequest, pb, session_edit};
@@ -124,17 +124,21 @@ async fn parts_are_solved_once_and_commits_of_targets_undo_and_reopen_to_the_bit
 
 /// An edit that adopts positions, or a part of them.
 fn adopted(positions: &[[f32; 3]], first: u32, more: bool) -> SessionEdit {
+    session_edit(&part_of("mine", positions, first, more)).expect("an edit")
+}
+
+fn part_of(shape: &str, positions: &[[f32; 3]], first: u32, more: bool) -> pb::EditRequest {
     let bytes: Vec<u8> = positions.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
     let adopt = pb::edit_request::Adopt {
         positions: bytes.into(),
         first,
         more,
+        shape: shape.into(),
     };
-    let request = pb::EditRequest {
+    pb::EditRequest {
         operation: Some(pb::edit_request::Operation::Adopt(adopt)),
         ..Default::default()
-    };
-    session_edit(&request).expect("an edit")
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -177,6 +181,19 @@ async fn a_shape_in_parts_is_adopted_once_whole_and_undoes_and_reopens_to_the_bi
         Some("adopt.positions")
     );
 
+    // Parts of two callers do not mix: those of the later shape stay.
+    let theirs = |positions, first, more| session_edit(&part_of("theirs", positions, first, more)).expect("an edit");
+    edit(theirs(&all[..20], 0, true)).await.expect("kept");
+    edit(adopted(&all[..30], 0, true)).await.expect("kept");
+    assert_eq!(
+        field(edit(theirs(&all[20..], 20, false)).await).as_deref(),
+        Some("adopt.first")
+    );
+    let unnamed = session_edit(&part_of("", &all[..30], 0, true)).expect_err("refused");
+    assert!(unnamed.to_string().starts_with("adopt.shape: "), "{unnamed}");
+    let mut on_rest = adopted(&all[30..], 30, false);
+    on_rest.on = EditedShape::Rest;
+    assert_eq!(field(edit(on_rest).await).as_deref(), Some("on"));
     edit(adopted(&all[..30], 0, true)).await.expect("kept");
     edit(adopted(&all[30..40], 30, true)).await.expect("kept");
     let done = edit(adopted(&all[40..], 40, false)).await.expect("adopted");

@@ -7,6 +7,7 @@ from base64 import b64decode
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from secrets import token_hex
 from typing import Any, Literal, Union
 
 import numpy as np
@@ -170,12 +171,14 @@ class Clean(TypedDict, total=False):
 class Adopt(TypedDict, total=False):
     """Makes a shape the rest pose: the current one, or the one that positions give. ``Session.adopt`` sends large ones in parts."""
 
-    #: (n, 3), relative to ``info.origin``; absent: the shape as it is.
+    #: (n, 3), in model space; in jobs relative to ``info.origin``. Absent: the shape as it is.
     positions: npt.ArrayLike
     #: Of a shape in parts: how many vertices the parts before have.
     first: int
     #: More parts follow.
     more: bool
+    #: Of a shape in parts: a name made up for it, the same in all parts.
+    shape: str
 
 
 class EditFields(TypedDict, total=False):
@@ -225,8 +228,10 @@ class EditResult:
 OPERATIONS = tuple(EditFields.__annotations__)
 
 
-def request(session_id: str, on: str, fields: Mapping[str, Any], count: int | None = None) -> pb.EditRequest:
-    """An edit of a model with `count` render vertices as the schema carries it.
+def request(
+    session_id: str, on: str, fields: Mapping[str, Any], count: int | None = None, origin: Sequence[float] = ()
+) -> pb.EditRequest:
+    """An edit of a model with `count` render vertices as the schema carries it, in a session with this `origin`.
 
     Operations and settings may also be spelled as jobs and HTTP spell them: ``insertCurve``, ``edgeLength``, enums in capitals, points
     in a row, a transform as 16 numbers.
@@ -239,6 +244,8 @@ def request(session_id: str, on: str, fields: Mapping[str, Any], count: int | No
     message = pb.EditRequest(session_id=session_id, on=enum("on", pb.EditRequest.On, on))
     settings = dict(mapping(name, given, "a dict of its settings"))
     with about(name):
+        if len(origin) == 3 and not isinstance(settings.get("positions", ""), str):
+            settings = {**settings, "positions": array("positions", settings["positions"]).astype(float) - np.array(origin)}
         _fill(name, getattr(message, name), settings, count)
     getattr(message, name).SetInParent()
     return message
@@ -255,10 +262,11 @@ def adoptions(session: pb.Session, on: str, positions: npt.ArrayLike | None, ver
     with about("adopt"):
         data = float_points("positions", positions, session.origin)
     count = len(data) // 12
+    shape = token_hex(8) if count > PART else ""
     parts = []
     for first in range(0, max(count, 1), PART):
         end = min(first + PART, count)
-        message = request(session.id, on, {"adopt": {"first": first, "more": end < count}}, vertices)
+        message = request(session.id, on, {"adopt": {"first": first, "more": end < count, "shape": shape}}, vertices)
         message.adopt.positions = data[12 * first : 12 * end]
         parts.append(message)
     return parts

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 import sys
@@ -83,6 +84,30 @@ def test_triangles_of_a_ply_of_any_form_are_found(server: pliant.LocalServer) ->
         areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
         assert triangles.shape == (3, 3) and np.isclose(areas[:2].sum(), 1.0)
         assert session.preview().startswith(b"\x89PNG")
+
+
+def test_triangles_are_found_behind_points_that_no_file_of_triangles_has(server: pliant.LocalServer) -> None:
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], "<f4")
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]], "<u2")
+    marks = np.array([[0.2, 0.2, 0], [0, 0.2, 0.2]], "<f4")
+    data = marks.tobytes() + corners.tobytes() + faces.tobytes()
+    views = [(0, 24), (24, 48), (72, 24)]
+    document = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"byteLength": len(data), "uri": "data:;base64," + base64.b64encode(data).decode()}],
+        "bufferViews": [{"buffer": 0, "byteOffset": first, "byteLength": size} for first, size in views],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 2, "type": "VEC3", "min": [0, 0.2, 0], "max": [0.2, 0.2, 0.2]},
+            {"bufferView": 1, "componentType": 5126, "count": 4, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 1]},
+            {"bufferView": 2, "componentType": 5123, "count": 12, "type": "SCALAR"},
+        ],
+        "meshes": [{"primitives": [{"mode": 0, "attributes": {"POSITION": 0}}, {"attributes": {"POSITION": 1}, "indices": 2}]}],
+        "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}],
+        "scene": 0,
+    }
+    with pliant.open(json.dumps(document).encode(), server=server) as session:
+        assert np.array_equal(session.positions()[session.triangles()], corners[faces])
 
 
 def test_a_mesh_and_a_scene_of_trimesh_go_in_and_come_out(server: pliant.LocalServer) -> None:

@@ -197,6 +197,8 @@ def test_edits_are_carried_by_name() -> None:
     assert len(drawn.cut.polyline) == 9 and drawn.cut.closed and not drawn.cut.HasField("plane")
     assert list(edits.request("id", "current", {"cut": {"path": np.array([3, 1, 2])}}).cut.path) == [3, 1, 2]
     merge = edits.request("id", "current", {"merge": {"session": "other", "transform": np.arange(16.0).reshape(4, 4)}})
+    far = edits.request("id", "current", {"adopt": {"positions": [[1e6, 2, 3.5]]}}, 1, (1e6, 0, 0))
+    assert np.frombuffer(far.adopt.positions, "<f4").tolist() == [0, 2, 3.5]
     assert merge.merge.session == "other" and list(merge.merge.transform[:4]) == [0, 4, 8, 12]
     ball = {"region": {"sphere": ((0, 0, 0), 1)}}
     for name in ("subdivide", "decimate", "delete", "fill", "remesh"):

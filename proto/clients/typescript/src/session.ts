@@ -25,6 +25,7 @@ import {
 } from "./gen/pliant/v1/pliant_pb.js";
 import type { AnimateOptions } from "./animation.js";
 import { Animation, formOf } from "./animation.js";
+import { newKey } from "./attempts.js";
 import { PliantError } from "./errors.js";
 import { originOf } from "./frames.js";
 import { checkPoses, littleEndian } from "./poses.js";
@@ -32,7 +33,7 @@ import { type RegionLike, regionFrom } from "./regions.js";
 import type { Vector } from "./rotation.js";
 import type { StreamEvents } from "./stream.js";
 import { Stream } from "./stream.js";
-import { type Topology, behindSplats, readTopology, topologyFormat } from "./topology.js";
+import { type Topology, amongAll, readTopology, topologyFormat } from "./topology.js";
 import type { CallOptions, Transport } from "./transport.js";
 import { jsonOf } from "./transport.js";
 
@@ -207,11 +208,12 @@ export class Session {
       this.edit({ on: EditRequest_On[on], operation: { case: "adopt", value: adopt } }, call);
     if (positions === undefined) return edit({});
     const part = 3 * 65536;
+    const shape = positions.length > part ? newKey() : "";
     for (let first = 0; first + part < positions.length; first += part) {
-      await edit({ positions: littleEndian(positions.subarray(first, first + part)), first: first / 3, more: true });
+      await edit({ positions: littleEndian(positions.subarray(first, first + part)), first: first / 3, more: true, shape });
     }
     const first = Math.max(0, Math.ceil(positions.length / part) - 1) * part;
-    return edit({ positions: littleEndian(positions.subarray(first)), first: first / 3 });
+    return edit({ positions: littleEndian(positions.subarray(first)), first: first / 3, shape });
   }
 
   /**
@@ -256,8 +258,7 @@ export class Session {
   async topology(call: CallOptions = {}): Promise<Topology> {
     const { format, vertices = 0 } = this.facts.model ?? {};
     let topology = readTopology(await (await this.model(topologyFormat(format), call)).arrayBuffer(), this.origin);
-    const [first] = this.facts.primitives;
-    if (first?.passenger === true && first.name === "splats") topology = behindSplats(topology, await this.positions(call), first.vertexCount);
+    if (topology.positions.length !== vertices * 3) topology = amongAll(topology, await this.positions(call), this.facts.primitives);
     const seen = topology.positions.length / 3;
     if (seen !== vertices) throw new PliantError("INTERNAL", `the server reports ${vertices} vertices but sent ${seen}`);
     return topology;

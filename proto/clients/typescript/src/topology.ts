@@ -26,9 +26,19 @@ export function readTopology(bytes: ArrayBuffer, origin: Vector): Topology {
   return new DataView(bytes).getUint32(0, true) === GLTF ? readGlb(bytes, origin) : readPly(bytes, origin);
 }
 
-/** The surface around Gaussian splats, which the file has alone, behind their centres, as the session counts vertices. */
-export function behindSplats(surface: Topology, positions: Float32Array<ArrayBuffer>, splats: number): Topology {
-  return { positions, normals: undefined, indices: surface.indices.map((vertex) => vertex + splats) };
+/** A run of render vertices with triangles or, with an `indexCount` of 0, of points, lines or splats. */
+interface Run {
+  readonly firstVertex: number;
+  readonly vertexCount: number;
+  readonly indexCount: number;
+}
+
+/** A surface from a file that leaves out points, lines and the centres of splats, with vertices as the session counts them. */
+export function amongAll(surface: Topology, positions: Float32Array<ArrayBuffer>, primitives: readonly Run[]): Topology {
+  const drawn = primitives.filter((primitive) => primitive.indexCount > 0);
+  const rows = drawn.flatMap((run) => Array.from({ length: run.vertexCount }, (_, k) => run.firstVertex + k));
+  if (rows.length * 3 !== surface.positions.length) throw new Error("the server sent the triangles of another model");
+  return { positions, normals: undefined, indices: surface.indices.map((vertex) => rows[vertex] ?? 0) };
 }
 
 const GLTF = 0x46546c67;

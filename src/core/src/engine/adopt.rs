@@ -1,33 +1,105 @@
-//! Shapes that are given and not solved for: vertices of a buffer, which become the rest pose bit for bit.
+//! Shapes that are not solved for: vertices of a buffer, which become the rest pose bit for bit, and wraps.
 
 use super::Deformer;
-use super::edit_command::{Edit, EditCommand, EditedShape};
+use super::derived_structures::admit_bytes;
+use super::edit_command::{Edit, EditCommand, EditKind, EditedShape};
+use super::edit_operations::read_other;
 use super::error::Error;
+use super::region_context::vertices_in_region;
+use super::settings::HeldBeside;
 use super::shape::ModelShape;
+use super::wrap::{SurfaceWrapping, WrapCommand, WrapReport};
+use crate::edit::check_faces_at_points;
 use crate::exec::Exec;
+use crate::mesh::NONE;
 use glam::{DVec3, Vec3};
 use std::sync::Arc;
 
+/// Bytes that a wrap takes for each vertex of both surfaces.
+const WRAPPED_BYTES: u64 = 2048;
+
+/// What an edit works on.
+#[derive(Debug, Clone)]
+pub struct SeenShape {
+    /// The shape.
+    pub shape: ModelShape,
+    /// What a wrap that led to it came to.
+    pub(super) wrap: Option<WrapReport>,
+}
+
 impl Deformer {
-    /// The shape that an edit works on: the current one, that of the rest pose, or for [`Edit::Adopt`] either with its vertices where
-    /// they are given.
+    /// The shape that an edit works on: the current one, that of the rest pose, or either with its vertices where [`Edit::Adopt`]
+    /// gives them or [`Edit::Wrap`] finds them.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for positions of another number of vertices; those of carrying passengers along; [`Error::Cancelled`].
-    pub fn edited_shape(&self, order: &EditCommand<'_>, exec: &Exec<'_>) -> Result<ModelShape, Error> {
+    /// [`Error::Invalid`] for positions of another number of vertices; those of a wrap and of carrying passengers along;
+    /// [`Error::Cancelled`].
+    pub fn seen_shape(&self, order: &EditCommand<'_>, exec: &Exec<'_>) -> Result<SeenShape, Error> {
         let shape = match order.on {
             EditedShape::Current => order.shape.clone(),
             EditedShape::Rest => self.rest_shape(),
         };
+        let seen = |shape| SeenShape { shape, wrap: None };
         match order.edit {
-            Edit::Adopt { positions } if !positions.is_empty() => self.adopted_shape(positions, shape, exec),
+            Edit::Adopt { positions } if !positions.is_empty() => self.adopted_shape(positions, shape, exec).map(seen),
             Edit::Adopt { .. } if order.on == EditedShape::Rest => {
                 let problem =
                     "is empty, but on is REST, which is the rest pose already; CURRENT is allowed, or positions";
                 Err(Error::invalid("adopt.positions", problem))
             }
-            _ => Ok(shape),
+            Edit::Wrap(command) => self.wrapped_shape(command, &shape, exec),
+            _ => Ok(seen(shape)),
         }
+    }
+
+    /// A shape wrapped onto another model; what rides along follows.
+    fn wrapped_shape(&self, command: &WrapCommand, shape: &ModelShape, exec: &Exec<'_>) -> Result<SeenShape, Error> {
+        // The deformer stays until the edit is whole.
+        let beside = HeldBeside {
+            held: self.byte_size(),
+            watcher: exec.progress,
+        };
+        let exec = &Exec::new(exec.pool, &beside);
+        let limits = self.room_limits();
+        let (_, target) = read_other(&command.target, EditKind::Wrap, &limits, exec)?;
+        let surface = self.edit_surface(&shape.positions, &self.topology().origins(&self.derived.mesh), exec)?;
+        check_faces_at_points(&surface.surface())?;
+        let bytes = WRAPPED_BYTES * (u64::from(surface.points) + target.positions.len() as u64);
+        admit_bytes(bytes, &limits, exec)?;
+        let masked = match &command.mask {
+            None => Vec::new(),
+            Some(region) => {
+                let regions = self.region_context(shape, exec);
+                vertices_in_region(&regions, region, None).map_err(|e| e.below("wrap.mask"))?
+            }
+        };
+        let wrapping = SurfaceWrapping {
+            surface: surface.own_surface(),
+            masked: &masked,
+            target,
+            body: &self.options.body,
+            command,
+        };
+        let (places, report) = wrapping.wrap(exec)?;
+        let mut positions = shape.positions.as_ref().clone();
+        for (position, &point) in positions.iter_mut().zip(&surface.point_of).filter(|(_, p)| **p != NONE) {
+            *position = places[point as usize];
+        }
+        self.place_riders(&mut positions, exec)?;
+        Ok(SeenShape {
+            shape: ModelShape::from_positions(Arc::new(positions)),
+            wrap: Some(report),
+        })
+    }
+
+    /// Puts what rides along where the surface of these positions takes it.
+    fn place_riders(&self, positions: &mut [DVec3], exec: &Exec<'_>) -> Result<(), Error> {
+        self.derived.bind_riders(&self.room_limits(), exec)?;
+        if let Some((surface, riders)) = self.derived.riding_vertices() {
+            let current = self.mesh().welded(positions);
+            riders.place(surface, &current, positions, exec.pool);
+        }
+        Ok(())
     }
 
     /// A shape with its vertices where they are given; what rides along and has no place of its own follows. A place that is the
@@ -53,12 +125,8 @@ impl Deformer {
         if positions.iter().map(bits).eq(shape.positions.iter().map(bits)) {
             return Ok(shape);
         }
-        self.derived.bind_riders(&self.room_limits(), exec)?;
-        if let Some((surface, riders)) = self.derived.riding_vertices() {
-            let current = self.mesh().welded(&positions);
-            riders.place(surface, &current, &mut positions, exec.pool);
-            lay(&mut positions);
-        }
+        self.place_riders(&mut positions, exec)?;
+        lay(&mut positions);
         Ok(ModelShape::from_positions(Arc::new(positions)))
     }
 

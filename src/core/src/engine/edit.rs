@@ -4,6 +4,7 @@
 //! all handles get their rest poses. An edit of the rest shape keeps poses, and the result is solved with them. The
 //! deformer changes only when everything has succeeded.
 
+use super::adopt::SeenShape;
 use super::derived_structures::{DerivedStructures, TopologyChange};
 use super::edit_command::{
     CarriedHandles, EditCommand, EditKind, EditOutcome, EditReport, EditedShape, HeldVertices, carry_handles,
@@ -35,18 +36,31 @@ impl Deformer {
     /// [`Error::Invalid`] with the field; [`Error::Precondition`] when the surface does not allow what is asked for;
     /// [`Error::TooLarge`], [`Error::Cancelled`].
     pub fn edit(&mut self, order: &EditCommand<'_>, exec: &Exec<'_>) -> Result<EditOutcome, Error> {
+        // States that were left can be made again; what is edited and what comes of it have to be held.
+        if self.estimate().saturating_add(self.byte_size()) > self.room {
+            self.forget_past();
+        }
+        let seen = self.seen_shape(order, exec)?;
+        self.edit_seen(order, &seen, exec)
+    }
+
+    /// As [`edit`](Self::edit), where [`seen_shape`](Self::seen_shape) of the edit is known.
+    ///
+    /// # Errors
+    /// As `edit`.
+    pub fn edit_seen(
+        &mut self,
+        order: &EditCommand<'_>,
+        seen: &SeenShape,
+        exec: &Exec<'_>,
+    ) -> Result<EditOutcome, Error> {
         exec.progress.report("edit", 0.0);
         let at_rest = order.on == EditedShape::Rest;
         if order.shape.positions.len() != self.rest().len() {
             return Err(Error::Internal("the shape of another model".into()));
         }
-        // States that were left can be made again; what is edited and what comes of it have to be held.
-        if self.estimate().saturating_add(self.byte_size()) > self.room {
-            self.forget_past();
-        }
-        let rest = self.rest_shape();
-        let shape = &self.edited_shape(order, exec)?;
-        let is_adopted = order.edit.kind() == EditKind::Adopt;
+        let (rest, shape) = (self.rest_shape(), &seen.shape);
+        let is_given = matches!(order.edit.kind(), EditKind::Adopt | EditKind::Wrap);
         let mut origins = self.topology().origins(&self.derived.mesh);
         let mut surface = self.edit_surface(&shape.positions, &origins, exec)?;
         let points = (shape.id != rest.id).then(|| surface.own_surface().point_positions());
@@ -59,8 +73,6 @@ impl Deformer {
             bend: self.handle_bend(order),
             surface: &mut surface,
             origins: &mut origins,
-            body: &self.options.body,
-            wrapped: None,
             admit_growth: &|triangles| self.admit_growth(triangles, exec),
         };
         // All that there is stays until the edit is whole.
@@ -70,9 +82,8 @@ impl Deformer {
         };
         let mut patch = plan_edit(&mut context, order.edit, &Exec::new(exec.pool, &beside))?;
         exec.check()?;
-        let wrapped = context.wrapped.take();
         // What is given vertex by vertex keeps all of them.
-        if !is_adopted {
+        if !is_given {
             patch.idle = std::mem::take(&mut surface.idle_vertices);
         }
         let (applied, left_behind) = self.apply(&mut patch, &surface, &origins, order, exec)?;
@@ -82,14 +93,14 @@ impl Deformer {
         let mut carried = self.carry(&applied, patch, &surface.seams, &on_shape, exec)?;
         let mut report = self.report_edit(before, &applied, patch);
         report.warnings.extend(left_behind);
-        report.wrap = wrapped;
+        report.wrap.clone_from(&seen.wrap);
         let points_before = self.derived.mesh.positions.len();
         let families = (self.derived.families).after_edit(points_before, &surface.surface(), &applied, patch);
         let (mut topology, applied) = (self.topology()).after_edit(&surface, &origins, applied, patch, families);
         if let Some(edited) = topology.edited.as_mut() {
             edited.apart |= order.edit.kind() == EditKind::Cut;
         }
-        if is_adopted {
+        if is_given {
             // Vertices that the solver has as one are each where they were given.
             let given = |&was: &u32| shape.positions[was as usize];
             topology.rest = Arc::new(applied.old_from_vertex.iter().map(given).collect());
@@ -109,10 +120,7 @@ impl Deformer {
         let change = TopologyChange {
             topology: Arc::new(topology),
             applied: &applied,
-            // Of what moves as a whole nothing is left to be repaired.
-            follow: order.edit.kind() != EditKind::Wrap
-                && nodes.is_some()
-                && applied.old_from_point.len() == applied.points as usize,
+            follow: nodes.is_some() && applied.old_from_point.len() == applied.points as usize,
             nodes: nodes.flatten(),
         };
         let id = self.next_topology;
@@ -302,7 +310,7 @@ impl Deformer {
     }
 
     /// What regions are resolved against in the shape that is edited.
-    fn region_context<'a>(&'a self, shape: &'a ModelShape, exec: &'a Exec<'a>) -> RegionContext<'a> {
+    pub(super) fn region_context<'a>(&'a self, shape: &'a ModelShape, exec: &'a Exec<'a>) -> RegionContext<'a> {
         let current = shape.id != self.rest_id();
         RegionContext {
             pose: if current { "the current shape" } else { "the rest pose" },
@@ -312,7 +320,12 @@ impl Deformer {
     }
 
     /// The surface in a shape, as an operation reads it.
-    fn edit_surface(&self, shape: &[DVec3], origins: &VertexOrigins, exec: &Exec<'_>) -> Result<EditSurface, Error> {
+    pub(super) fn edit_surface(
+        &self,
+        shape: &[DVec3],
+        origins: &VertexOrigins,
+        exec: &Exec<'_>,
+    ) -> Result<EditSurface, Error> {
         let geometry = self.geometry();
         let mut shading = match geometry.normals.is_empty() {
             true => Shading::default(),

@@ -2,7 +2,6 @@
 
 use super::DeformerLimits;
 use super::clean::unwanted_faces;
-use super::derived_structures::admit_bytes;
 use super::edit_command::{
     CleanCommand, CutLine, Edit, EditKind, MergeJoin, ModelMerge, OwnCap, SmoothCommand, SmoothKind,
 };
@@ -16,9 +15,7 @@ use super::quality::{HandleBend, plan_division};
 use super::region_context::{RegionContext, vertices_in_region};
 use super::seams::Seams;
 use super::shape::Shading;
-use super::wrap::{SurfaceWrapping, WrapCommand, WrapReport};
 use crate::asset::{Model, Splats};
-use crate::deform::BodyOptions;
 use crate::edit::{
     CreaseOptions, CutOptions, CutPlane, EditWarning, LoopPair, RemeshOptions, RemeshTarget, SmoothOptions,
     SurfaceCurve, SurfacePatch, SurfaceView,
@@ -31,9 +28,6 @@ use std::sync::Arc;
 
 /// How many times as large as the smaller of two merged models both together may be: 32-bit positions have 1e7 steps.
 const LARGEST: f64 = 1e6;
-
-/// Bytes that a wrap takes for each vertex of both surfaces.
-const WRAPPED_BYTES: u64 = 2048;
 
 /// What an operation is planned on. A merge appends to surface and origins.
 pub(super) struct EditContext<'a> {
@@ -51,10 +45,6 @@ pub(super) struct EditContext<'a> {
     pub origins: &'a mut VertexOrigins,
     /// Whether a surface far from the origin is edited as it would be near it.
     pub near_origin: bool,
-    /// How bodies are built.
-    pub body: &'a BodyOptions,
-    /// What a wrap came to.
-    pub wrapped: Option<WrapReport>,
     /// Refuses an edit that would add about so many triangles, before it is begun.
     pub admit_growth: &'a dyn Fn(f64) -> Result<(), Error>,
 }
@@ -150,7 +140,8 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
         Edit::Weld { tolerance } => plan_weld(context, *tolerance, exec)?,
         Edit::Clean(clean) => plan_cleaning(&surface, clean, exec)?,
         Edit::Adopt { .. } => plan_adoption(context),
-        Edit::Wrap(command) => plan_wrapping(context, command, exec)?,
+        // The shape that is edited is wrapped already.
+        Edit::Wrap(_) => SurfacePatch::default(),
     };
     if let Some(cap) = edit.own_cap() {
         context.add_caps(&mut patch, cap);
@@ -216,27 +207,6 @@ impl EditContext<'_> {
             self.surface.add_empty_primitive(lender, &cap.material);
             self.origins.add_cap(lender, &cap.material);
         }
-    }
-
-    /// Reads the other model that an edit takes.
-    fn read_other(&self, other: &OtherModel, kind: EditKind, exec: &Exec<'_>) -> Result<(ModelTopology, Mesh), Error> {
-        let source = match other.from_session {
-            true => "session",
-            false => "model",
-        };
-        let unfit = |e: Error| match e {
-            Error::Asset(asset::Error::TooLarge { .. }) | Error::TooLarge { .. } | Error::Cancelled => e,
-            other => Error::invalid(format!("{}.{source}", kind.name()), format!("cannot be taken: {other}")),
-        };
-        let (files, limits) = (other.files.clone(), self.limits.of_reading());
-        if Splats::format_of(&files, other.format).is_some() {
-            let problem = "is of Gaussian splats, which have no surface; give the file as a passenger";
-            return Err(Error::invalid(format!("{}.{source}", kind.name()), problem));
-        }
-        let model = Model::read_watched(files, other.format, &limits, exec.progress).map_err(|e| unfit(e.into()))?;
-        let topology = ModelTopology::from_shared_model(Arc::new(model));
-        let mesh = topology.mesh(Weld::Rounding).map_err(unfit)?;
-        Ok((topology, mesh))
     }
 
     /// The triangles with all corners in a region, rising; all of them without one.
@@ -357,9 +327,35 @@ fn plan_weld(context: &mut EditContext<'_>, tolerance: f64, exec: &Exec<'_>) -> 
     Ok(patch)
 }
 
+/// Reads the other model that an edit takes.
+pub(super) fn read_other(
+    other: &OtherModel,
+    kind: EditKind,
+    limits: &DeformerLimits,
+    exec: &Exec<'_>,
+) -> Result<(ModelTopology, Mesh), Error> {
+    let source = match other.from_session {
+        true => "session",
+        false => "model",
+    };
+    let unfit = |e: Error| match e {
+        Error::Asset(asset::Error::TooLarge { .. }) | Error::TooLarge { .. } | Error::Cancelled => e,
+        other => Error::invalid(format!("{}.{source}", kind.name()), format!("cannot be taken: {other}")),
+    };
+    let (files, limits) = (other.files.clone(), limits.of_reading());
+    if Splats::format_of(&files, other.format).is_some() {
+        let problem = "is of Gaussian splats, which have no surface; give the file as a passenger";
+        return Err(Error::invalid(format!("{}.{source}", kind.name()), problem));
+    }
+    let model = Model::read_watched(files, other.format, &limits, exec.progress).map_err(|e| unfit(e.into()))?;
+    let topology = ModelTopology::from_shared_model(Arc::new(model));
+    let mesh = topology.mesh(Weld::Rounding).map_err(unfit)?;
+    Ok((topology, mesh))
+}
+
 /// Appends the other model to surface and origins, and plans how they are joined.
 fn plan_merge(context: &mut EditContext<'_>, merge: &ModelMerge, exec: &Exec<'_>) -> Result<SurfacePatch, Error> {
-    let (other, mesh) = context.read_other(&merge.other, EditKind::Merge, exec)?;
+    let (other, mesh) = read_other(&merge.other, EditKind::Merge, &context.limits, exec)?;
     let model = Arc::clone(&other.model);
     let placement = merge.own_from_other;
     let positions: Vec<DVec3> = other.rest.iter().map(|p| placement.transform_point3(*p)).collect();
@@ -380,32 +376,6 @@ fn plan_merge(context: &mut EditContext<'_>, merge: &ModelMerge, exec: &Exec<'_>
         MergeJoin::Weld => edit::weld_boundaries(&surface, first_point, tolerance, exec.progress)?,
         MergeJoin::Stitch => edit::stitch_boundaries(&surface, LoopPair::Appended(first_point), exec.progress)?,
     })
-}
-
-/// Moves all points onto another model.
-fn plan_wrapping(context: &mut EditContext<'_>, command: &WrapCommand, exec: &Exec<'_>) -> Result<SurfacePatch, Error> {
-    let (_, target) = context.read_other(&command.target, EditKind::Wrap, exec)?;
-    let bytes = WRAPPED_BYTES * (u64::from(context.surface.points) + target.positions.len() as u64);
-    admit_bytes(bytes, &context.limits, exec)?;
-    let masked = match &command.mask {
-        None => Vec::new(),
-        Some(region) => vertices_in_region(&context.regions, region, None).map_err(|e| e.below("wrap.mask"))?,
-    };
-    let wrapping = SurfaceWrapping {
-        surface: context.surface.own_surface(),
-        masked: &masked,
-        target,
-        body: context.body,
-        command,
-    };
-    let (moved, report) = wrapping.wrap(exec)?;
-    context.wrapped = Some(report);
-    let patch = SurfacePatch {
-        moved,
-        ..SurfacePatch::default()
-    };
-    context.surface.follow_moves(&patch);
-    Ok(patch)
 }
 
 /// The surface of a model that is placed by a transform, with normals and tangents turned alike.

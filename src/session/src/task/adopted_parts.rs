@@ -14,12 +14,15 @@ pub(crate) struct AdoptedParts {
 }
 
 impl AdoptedParts {
-    /// An edit with the parts before it.
+    /// An edit with the parts before it, which are taken. Those of another shape stay where they are until a first part or another
+    /// edit comes.
     ///
     /// # Errors
     /// A part that does not begin where those before it end; more vertices than the model has.
-    pub fn join(before: Option<Self>, edit: SessionEdit, revision: u64, vertices: u32) -> Result<Self, Error> {
-        let before = before.filter(|parts| parts.revision == revision && edit.is_later_part());
+    pub fn join(before: &mut Option<Self>, edit: SessionEdit, revision: u64, vertices: u32) -> Result<Self, Error> {
+        let is_later = edit.is_later_part();
+        let taken = before.take_if(|parts| !is_later || parts.edit.shape_in_parts() == edit.shape_in_parts());
+        let before = taken.filter(|parts| parts.revision == revision && is_later);
         let edit = match before {
             Some(parts) => parts.edit.join(edit)?,
             None => {

@@ -451,7 +451,7 @@ impl SessionTask {
 impl RunCall for SessionEdit {
     async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<pb::EditResult, Error> {
         let (revision, vertices) = (task.history.revision(), task.history.current().vertices());
-        let edit = match AdoptedParts::join(task.adopted_parts.take(), self, revision, vertices)?.whole() {
+        let edit = match AdoptedParts::join(&mut task.adopted_parts, self, revision, vertices)?.whole() {
             Ok(edit) => Arc::new(edit),
             Err(parts) => {
                 reserve_more(task, parts.byte_size(), "keeping the parts of a shape")?;

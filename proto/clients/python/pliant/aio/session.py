@@ -158,12 +158,14 @@ class Session(Declared):
     async def triangles(self) -> npt.NDArray[np.int64]:
         """The triangles, (triangles, 3) numbers of rows of :meth:`positions`. They stay the same until an edit."""
         points, triangles = preview.triangles_of(await self._preview_bytes())
-        # The file of Gaussian splats is of the surface around them, whose vertices come after their centres.
-        first = self.info.primitives[0]
-        before = first.vertex_count if first.passenger and first.name == "splats" else 0
-        if before + len(points) != self.vertices:
+        if len(points) == self.vertices:
+            return triangles
+        # The file is of the primitives with triangles: points, lines and the centres of splats are left out.
+        drawn = [p for p in self.info.primitives if p.index_count > 0]
+        rows = np.concatenate([np.arange(p.first_vertex, p.first_vertex + p.vertex_count) for p in drawn])
+        if len(points) != len(rows):
             raise errors.Internal(f"the triangles are of {len(points)} vertices, the session has {self.vertices}")
-        return triangles + before
+        return rows[triangles]
 
     async def to_trimesh(self) -> Any:
         """The model in its current shape as a `trimesh.Trimesh`, whose vertices are the rows of :meth:`positions`. It needs trimesh."""
@@ -258,7 +260,7 @@ class Session(Declared):
 
         Afterwards ``vertices`` and ``info`` are new, and streams have to be opened again.
         """
-        request = edits.request(self.id, on, operation, self.vertices)
+        request = edits.request(self.id, on, operation, self.vertices, self.info.origin)
         await self.apply()
         done = edits.result(await self._calls.one("Edit", request, keyed=True))
         self._books.edited(await self._calls.one("GetSession", self._named()))

@@ -1202,14 +1202,16 @@ class EditRequest(_message.Message):
         duplicates_within: float
         def __init__(self, keep_largest: _Optional[int] = ..., smallest_share: _Optional[float] = ..., smallest_size: _Optional[float] = ..., duplicates_within: _Optional[float] = ...) -> None: ...
     class Adopt(_message.Message):
-        __slots__ = ("positions", "first", "more")
+        __slots__ = ("positions", "first", "more", "shape")
         POSITIONS_FIELD_NUMBER: _ClassVar[int]
         FIRST_FIELD_NUMBER: _ClassVar[int]
         MORE_FIELD_NUMBER: _ClassVar[int]
+        SHAPE_FIELD_NUMBER: _ClassVar[int]
         positions: bytes
         first: int
         more: bool
-        def __init__(self, positions: _Optional[bytes] = ..., first: _Optional[int] = ..., more: bool = ...) -> None: ...
+        shape: str
+        def __init__(self, positions: _Optional[bytes] = ..., first: _Optional[int] = ..., more: bool = ..., shape: _Optional[str] = ...) -> None: ...
     class Wrap(_message.Message):
         __slots__ = ("model", "session", "file", "format", "landmarks", "mask", "in_place")
         class Landmark(_message.Message):

@@ -32,7 +32,7 @@ impl SurfaceWrapping<'_> {
     ///
     /// # Errors
     /// [`Error::Invalid`] for landmarks that are not there, and those of a wrap.
-    pub fn wrap(self, exec: &Exec<'_>) -> Result<(Vec<(u32, DVec3)>, WrapReport), Error> {
+    pub fn wrap(self, exec: &Exec<'_>) -> Result<(Vec<DVec3>, WrapReport), Error> {
         let SurfaceView {
             positions,
             triangles,
@@ -64,7 +64,7 @@ impl SurfaceWrapping<'_> {
                 "point {point} leaves the range of numbers"
             )));
         }
-        Ok(((0u32..).zip(now).collect(), report))
+        Ok((now, report))
     }
 
     fn landmarks(&self, template: &Mesh, exec: &Exec<'_>) -> Result<Vec<LandmarkPair>, Error> {
