@@ -5,7 +5,7 @@ use glam::DVec3;
 use pliant_exec::Exec;
 use pliant_exec::pool::Pool;
 use pliant_exec::progress::Cancelled;
-use pliant_mesh::{Mesh, is_crossing, visit_crossings};
+use pliant_mesh::{Mesh, is_crossing, visit_crossings_within};
 use rayon::prelude::*;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
@@ -20,6 +20,10 @@ const SHARPER: f64 = 0.25;
 const FOLD: usize = 4;
 /// How far around known faults those of another shape are looked for at first, in faces.
 const RINGS: usize = 8;
+/// Pairs of overlapping boxes that a search looks at, at most, for each face and beside them. Bent surfaces have some 30 for each face;
+/// where a shape has collapsed all may overlap all, and nothing is found that would cure it.
+const OVERLAPS_PER_FACE: u64 = 1024;
+const LEAST_OVERLAPS: u64 = 1 << 20;
 /// Faces that one piece of work handles at least.
 const PIECE: usize = 4096;
 
@@ -85,7 +89,8 @@ impl<'a> FreeSurface<'a> {
     }
 
     /// Whether neighbours are folded onto each other, or faces cross others where the surface is bent sharply: a quick look, for the
-    /// exact one takes longer. Parts that pass through each other without a bend, as an arm through a chest, are not looked for.
+    /// exact one takes longer. Parts that pass through each other without a bend, as an arm through a chest, are not looked for. A shape
+    /// of which nearly all faces overlap is none that can be cured.
     ///
     /// # Errors
     /// [`Cancelled`].
@@ -101,18 +106,20 @@ impl<'a> FreeSurface<'a> {
                 pair.iter().for_each(|&t| is_sharp[t as usize] = true);
             }
         }
-        Ok(!self.crossings(now, &is_sharp, exec)?.is_empty())
+        let crossings = self.crossings(now, &is_sharp, exec)?;
+        Ok(crossings.is_some_and(|crossings| !crossings.is_empty()))
     }
 
-    /// Counts the faults of a shape.
+    /// Counts the faults of a shape; `None` where nearly all of its faces overlap.
     ///
     /// # Errors
     /// [`Cancelled`].
-    pub fn faults(&self, now: &[DVec3], exec: &Exec<'_>) -> Result<SurfaceFaults, Cancelled> {
-        Ok(SurfaceFaults {
+    pub fn faults(&self, now: &[DVec3], exec: &Exec<'_>) -> Result<Option<SurfaceFaults>, Cancelled> {
+        let crossings = self.crossings(now, &self.is_free, exec)?;
+        Ok(crossings.map(|crossings| SurfaceFaults {
             folds: self.folds(now, exec),
-            crossings: self.crossings(now, &self.is_free, exec)?,
-        })
+            crossings,
+        }))
     }
 
     /// As [`FreeSurface::faults`] where they weigh less than those `before`, of another shape of the same pose; `None` where they do not,
@@ -134,7 +141,10 @@ impl<'a> FreeSurface<'a> {
             if faults.weight() >= before.weight() {
                 return Ok(None);
             }
-            faults.crossings = self.crossings(now, is_asked, exec)?;
+            match self.crossings(now, is_asked, exec)? {
+                Some(crossings) => faults.crossings = crossings,
+                None => return Ok(None),
+            }
         }
         Ok((faults.weight() < before.weight()).then_some(faults))
     }
@@ -162,8 +172,8 @@ impl<'a> FreeSurface<'a> {
         self.pairs.iter().filter(folded).map(|(pair, _)| *pair).collect()
     }
 
-    /// Pairs that cross and did not in the rest pose, one of them asked for at least.
-    fn crossings(&self, now: &[DVec3], is_asked: &[bool], exec: &Exec<'_>) -> Result<Vec<[u32; 2]>, Cancelled> {
+    /// Pairs that cross and did not in the rest pose, one of them asked for at least; `None` where too many overlap.
+    fn crossings(&self, now: &[DVec3], is_asked: &[bool], exec: &Exec<'_>) -> Result<Option<Vec<[u32; 2]>>, Cancelled> {
         let Mesh {
             positions, triangles, ..
         } = self.mesh;
@@ -174,10 +184,13 @@ impl<'a> FreeSurface<'a> {
                 found.lock().unwrap_or_else(PoisonError::into_inner).push(pair);
             }
         };
-        visit_crossings(now, triangles, Some(is_asked), &keep_new, exec)?;
+        let most = LEAST_OVERLAPS + OVERLAPS_PER_FACE * triangles.len() as u64;
+        if !visit_crossings_within(most, now, triangles, Some(is_asked), &keep_new, exec)? {
+            return Ok(None);
+        }
         let mut found = found.into_inner().unwrap_or_else(PoisonError::into_inner);
         found.sort_unstable();
-        Ok(found)
+        Ok(Some(found))
     }
 }
 

@@ -165,6 +165,26 @@ pub fn visit_crossings(
     visit: &(impl Fn([u32; 2]) + Sync),
     exec: &Exec<'_>,
 ) -> Result<(), Cancelled> {
+    visit_crossings_within(u64::MAX, positions, triangles, is_asked, visit, exec).map(|_| ())
+}
+
+/// As [`visit_crossings`], up to `most` pairs whose boxes overlap, which is what time is in proportion to. Answers whether all pairs were
+/// looked at; where there are more, some are not, and which depends on threads.
+///
+/// # Errors
+/// As `visit_crossings`.
+///
+/// # Panics
+/// As `visit_crossings`.
+pub fn visit_crossings_within(
+    most: u64,
+    positions: &[DVec3],
+    triangles: &[[u32; 3]],
+    is_asked: Option<&[bool]>,
+    visit: &(impl Fn([u32; 2]) + Sync),
+    exec: &Exec<'_>,
+) -> Result<bool, Cancelled> {
+    let seen = AtomicU64::new(0);
     let asked = |t: u32| is_asked.is_none_or(|is_asked| is_asked[t as usize]);
     let all = || (0..triangles.len() as u32).into_par_iter();
     exec.pool.install(|| {
@@ -184,7 +204,7 @@ pub fn visit_crossings(
             Some(near) => near.iter().map(|&t| triangles[t as usize]).collect(),
         };
         if corners.len() < 2 {
-            return Ok(());
+            return Ok(true);
         }
         let surface = BoxedTriangles::build(&points, &corners, exec);
         exec.check()?;
@@ -198,17 +218,22 @@ pub fn visit_crossings(
             // A triangle meets every other one at worst.
             places.iter().try_for_each(|&place| {
                 exec.check()?;
+                if seen.load(Ordering::Relaxed) > most {
+                    return Ok(());
+                }
                 // Where all are asked for, each pair is met from the first of the two.
                 let from = if is_asked.is_none() { place + 1 } else { 0 };
-                surface.for_crossings(place, from, |other| {
+                let overlaps = surface.for_crossings(place, from, |other| {
                     let (own, theirs) = (number(place), number(other));
                     if from > 0 || !asked(theirs) || own < theirs {
                         visit([own.min(theirs), own.max(theirs)]);
                     }
                 });
+                seen.fetch_add(overlaps, Ordering::Relaxed);
                 Ok(())
             })
-        })
+        })?;
+        Ok(seen.into_inner() <= most)
     })
 }
 
@@ -245,12 +270,14 @@ impl<'a> BoxedTriangles<'a> {
         Self { bvh, boxes }
     }
 
-    /// Calls for the triangles at places from `from` on that cross the one at `place`.
-    fn for_crossings(&self, place: usize, from: usize, mut see: impl FnMut(usize)) {
+    /// Calls for the triangles at places from `from` on that cross the one at `place`; answers how many boxes overlap its own.
+    fn for_crossings(&self, place: usize, from: usize, mut see: impl FnMut(usize)) -> u64 {
+        let mut overlaps = 0;
         let order = self.bvh.triangle_order();
         let (own, bounds) = (order[place], &self.boxes[place]);
         self.bvh.visit_overlapping(bounds, from, |other| {
             if self.boxes[other].overlaps(bounds) {
+                overlaps += 1;
                 let theirs = order[other];
                 let [f, g] = [own.min(theirs), own.max(theirs)].map(|t| self.bvh.triangles()[t as usize]);
                 if do_cross(self.bvh.positions(), f, g) {
@@ -258,6 +285,7 @@ impl<'a> BoxedTriangles<'a> {
                 }
             }
         });
+        overlaps
     }
 }
 
@@ -361,6 +389,31 @@ mod tests {
         let expected: Vec<_> = expected.collect();
         assert!(!expected.is_empty() && expected.len() < all.len());
         assert_eq!(asked(&some), expected);
+    }
+
+    #[test]
+    fn a_search_ends_where_too_many_boxes_overlap() {
+        let (positions, triangles) = crossed_sheets(12);
+        let exec_pool = pool();
+        let exec = Exec::new(&exec_pool, &Silent);
+        let within = |most: u64, positions: &[DVec3]| {
+            let found = AtomicU64::new(0);
+            let keep = |_| {
+                found.fetch_add(1, Ordering::Relaxed);
+            };
+            let whole = visit_crossings_within(most, positions, &triangles, None, &keep, &exec).expect("no cancel");
+            (whole, found.into_inner())
+        };
+        let all = count(&positions, &triangles);
+        assert_eq!(within(u64::MAX, &positions), (true, all));
+        let usual = 64 * triangles.len() as u64;
+        assert_eq!(within(usual, &positions), (true, all));
+        // All in one place, but for noise: each box overlaps each.
+        let collapsed: Vec<DVec3> = (positions.iter().enumerate())
+            .map(|(k, p)| *p * 1e-3 + DVec3::splat((k % 7) as f64))
+            .collect();
+        let (whole, found) = within(usual, &collapsed);
+        assert!(!whole && found < count(&collapsed, &triangles), "{found}");
     }
 
     #[test]

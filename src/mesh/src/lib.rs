@@ -29,6 +29,7 @@ pub use error::{Error, shown_count};
 pub use inspect::{MeshReport, MeshWarning, PartReport, inspect};
 pub use intersections::{
     Crossing, CrossingCount, count_crossings, crossing_triangles, is_crossing, self_intersections, visit_crossings,
+    visit_crossings_within,
 };
 pub use measure::{
     BoundingBox, brief_number, brief_point, grouped_count, mean_edge_length, signed_volume, surface_area,

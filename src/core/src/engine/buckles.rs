@@ -109,9 +109,12 @@ impl<'a> BuckleWatch<'a> {
         if !surface.is_suspect(&fitted.positions[..vertices], self.exec)? {
             return Ok(fitted);
         }
+        let Some(faults) = surface.faults(&fitted.positions[..vertices], self.exec)? else {
+            return Ok(fitted);
+        };
         let fits = state.added_turns().to_vec();
         let mut best = Candidate {
-            faults: surface.faults(&fitted.positions[..vertices], self.exec)?,
+            faults,
             solved: fitted,
             turns: fits,
         };
