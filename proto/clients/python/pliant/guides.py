@@ -47,7 +47,7 @@ class Lattice:
     def points(self) -> npt.NDArray[np.float64]:
         """The control points in the rest shape, n by 3, in the order that poses list them."""
         origin, edges = self._box()
-        counts = [int(count) for count in self.counts]
+        counts = self._counts()
         shares = [np.linspace(0.0, 1.0, count) for count in counts]
         w, v, u = np.meshgrid(shares[2], shares[1], shares[0], indexing="ij")
         points: npt.NDArray[np.float64] = origin + np.stack([u, v, w], axis=-1).reshape(-1, 3) @ edges
@@ -56,8 +56,12 @@ class Lattice:
     def to_message(self) -> pb.Guide:
         """The guide as the schema carries it."""
         origin, edges = self._box()
-        lattice = pb.Guide.Lattice(origin=origin.tolist(), edges=edges.ravel().tolist(), counts=[int(count) for count in self.counts])
+        lattice = pb.Guide.Lattice(origin=origin.tolist(), edges=edges.ravel().tolist(), counts=self._counts())
         return pb.Guide(lattice=lattice)
+
+    def _counts(self) -> list[int]:
+        counts: list[int] = _whole("lattice: counts", self.counts).tolist()
+        return counts
 
     def _box(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         origin = array("lattice: origin", self.origin).astype(np.float64)
@@ -81,7 +85,7 @@ class Cage:
 
     def to_message(self) -> pb.Guide:
         """The guide as the schema carries it."""
-        triangles = array("cage: triangles", self.triangles)
+        triangles = _whole("cage: triangles", self.triangles)
         if triangles.ndim != 2 or triangles.shape[1] != 3:
             raise ValueError(f"cage: triangles: an array of shape {triangles.shape}, (m, 3) is allowed")
         positions = _places("cage: positions", self.positions).ravel().tolist()
@@ -117,6 +121,13 @@ def guide_message(guide: Guide) -> pb.Guide:
     if not isinstance(guide, (Curve, Lattice, Cage)):
         raise TypeError(f"guide: {seen(guide)}, a pliant.Curve, Lattice or Cage is allowed")
     return guide.to_message()
+
+
+def _whole(name: str, given: npt.ArrayLike) -> npt.NDArray[Any]:
+    found = array(name, given)
+    if not np.issubdtype(found.dtype, np.integer):
+        raise ValueError(f"{name}: values of type {found.dtype}, whole numbers are allowed")
+    return found
 
 
 def _places(what: str, value: npt.ArrayLike) -> npt.NDArray[np.float64]:

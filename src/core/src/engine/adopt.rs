@@ -5,18 +5,22 @@ use super::derived_structures::admit_bytes;
 use super::edit_command::{Edit, EditCommand, EditKind, EditedShape};
 use super::edit_operations::read_other;
 use super::error::Error;
+use super::facts::DeformerWarning;
 use super::region_context::vertices_in_region;
 use super::settings::HeldBeside;
 use super::shape::ModelShape;
 use super::wrap::{SurfaceWrapping, WrapCommand, WrapReport};
 use crate::edit::check_faces_at_points;
 use crate::exec::Exec;
-use crate::mesh::NONE;
+use crate::mesh::{BoundingBox, NONE, brief_number};
 use glam::{DVec3, Vec3};
 use std::sync::Arc;
 
 /// Bytes that a wrap takes for each vertex of both surfaces.
 const WRAPPED_BYTES: u64 = 2048;
+
+/// Places given in single precision are warned of where its steps are a larger share of the diagonal.
+const COARSE_STEPS: f64 = 1e-5;
 
 /// What an edit works on.
 #[derive(Debug, Clone)]
@@ -89,6 +93,26 @@ impl Deformer {
         Ok(SeenShape {
             shape: ModelShape::from_positions(Arc::new(positions)),
             wrap: Some(report),
+        })
+    }
+
+    /// What is said of a shape that is given so far from the session's origin that frames and files in single precision tear it.
+    pub(super) fn rounding_warning(&self, seen: &SeenShape, is_given: bool) -> Option<DeformerWarning> {
+        let bounds = BoundingBox::of(&seen.shape.positions);
+        let far = (bounds.min - self.origin())
+            .abs()
+            .max((bounds.max - self.origin()).abs())
+            .max_element();
+        let (step, size) = (far * f64::from(f32::EPSILON), bounds.diagonal());
+        (is_given && step > COARSE_STEPS * size).then(|| {
+            let message = format!(
+                "the shape is {} units from the session's origin and {} units large: positions in single precision have steps of up to {} \
+                 units there; a shape near the origin, or a session opened of a file far away, keeps its details",
+                brief_number(far),
+                brief_number(size),
+                brief_number(step)
+            );
+            DeformerWarning::new("places-rounded", message, "")
         })
     }
 

@@ -23,6 +23,7 @@ use super::seams::Seams;
 use super::settings::{EDITED_AT_REST, ESTIMATED_MEMORY, HeldBeside, SolveMode, SolveSettings};
 use super::shape::{ModelShape, Shading};
 use super::topology_state::TopologyState;
+use super::wrap::WrapReport;
 use super::{Deformer, digest};
 use crate::edit::{PatchedSurface, SurfacePatch, apply_patch};
 use crate::exec::Exec;
@@ -94,6 +95,8 @@ impl Deformer {
         let mut report = self.report_edit(before, &applied, patch);
         report.warnings.extend(left_behind);
         report.wrap.clone_from(&seen.wrap);
+        (report.warnings).extend(seen.wrap.iter().flat_map(WrapReport::warnings));
+        report.warnings.extend(self.rounding_warning(seen, is_given));
         let points_before = self.derived.mesh.positions.len();
         let families = (self.derived.families).after_edit(points_before, &surface.surface(), &applied, patch);
         let (mut topology, applied) = (self.topology()).after_edit(&surface, &origins, applied, patch, families);

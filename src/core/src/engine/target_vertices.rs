@@ -197,12 +197,15 @@ pub(super) fn check_targets_alone(set: &HandleSet, handle: &Handle, field: &str)
     }
     let kinds = handle.constrains;
     let problem = match handle {
-        _ if handle.stiffness.is_none() => "is set, but stiffness is not: targets pull softly",
+        _ if handle.stiffness.is_none() => "is set, but stiffness is not: vertices are pulled softly",
         _ if !kinds.position || kinds.rotation || kinds.scale => "is set, but constrains is not POSITION alone",
         _ if handle.rigid => "is set on a rigid handle: one of both is allowed",
         _ if handle.falloff.is_some() => "is set beside a falloff: one of both is allowed; weights may fade",
-        _ if set.symmetry_plane.is_some() => "is set beside a symmetryPlane, which targets do not know",
+        _ if set.symmetry_plane.is_some() => {
+            "is set beside a symmetryPlane, which pulls of single vertices do not know"
+        }
         _ => return Ok(()),
     };
-    Err(Error::invalid(format!("{field}.targets"), problem))
+    let name = if handle.guide.is_some() { "guide" } else { "targets" };
+    Err(Error::invalid(format!("{field}.{name}"), problem))
 }

@@ -222,3 +222,20 @@ fn targets_far_from_the_origin_are_as_exact_as_near_it() {
     let off = off.fold(0.0, f32::max);
     assert!(off < 1e-3, "{off}");
 }
+
+#[test]
+fn a_shape_far_from_the_origin_of_its_session_is_warned_of() {
+    let pool = Pool::new(1).expect("a thread");
+    let exec = Exec::new(&pool, &Silent);
+    let codes = |aside: f32| -> Vec<String> {
+        let mut deformer = opened(0.0, &exec);
+        let (poses, shape) = (deformer.initial_poses(), deformer.rest_shape());
+        let places = deformer.rest().iter().map(|p| p.as_vec3().to_array());
+        let positions = places.map(|[x, y, z]| [x + aside, y, 1.01 * z]).collect();
+        let outcome = adopt(&mut deformer, positions, (EditedShape::Current, &poses, &shape), &exec);
+        let warnings = outcome.expect("adopted").report.warnings;
+        warnings.iter().map(|w| w.code.to_string()).collect()
+    };
+    assert!(!codes(10.0).contains(&"places-rounded".to_owned()));
+    assert!(codes(5e6).contains(&"places-rounded".to_owned()));
+}

@@ -293,6 +293,8 @@ class Session(Declared):
         session; topology, texture coordinates, rig and morph targets follow. One commit. `settings` are those of
         ``edit(wrap=...)``: ``landmarks``, ``mask``, ``in_place``, ``format``. ``wrap`` of the result says how well it lies.
         """
+        if (target is None) == (not session):
+            raise TypeError("wrap: a file or a session to wrap onto is needed, and only one of them")
         source: dict[str, Any] = {"session": session} if session else {"model": target}
         return await self.edit(on=on, wrap={**source, **settings})  # type: ignore[typeddict-item]
 

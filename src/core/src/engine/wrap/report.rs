@@ -3,6 +3,7 @@
 use super::queries::answers;
 use super::target::TargetSurface;
 use crate::engine::error::Error;
+use crate::engine::facts::DeformerWarning;
 use crate::engine::quality::measure_quality;
 use crate::exec::Exec;
 use crate::mesh::query::TriangleBvh;
@@ -41,6 +42,33 @@ pub struct WrapReport {
     pub crossings_before: u64,
     /// Pairs that cross now.
     pub crossings: u64,
+}
+
+/// Distances above this share of the diagonal are warned of: a twentieth of a body is as thick as its arm.
+const FAR: f64 = 0.05;
+
+impl WrapReport {
+    /// What is to be said of a template that does not lie on its target.
+    pub(in crate::engine) fn warnings(&self) -> Vec<DeformerWarning> {
+        let percent = |share: f64| format!("{:.1} %", share * 100.0);
+        let far = (self.to_target.p95 > FAR).then(|| {
+            let message = format!(
+                "a twentieth of the surface is farther from the target than {} of its diagonal: landmarks lead what is far, and a \
+                 mask leaves out what the target has not",
+                percent(self.to_target.p95)
+            );
+            DeformerWarning::new("wrap-far", message, "")
+        });
+        let landmarks = (self.landmarks.max > FAR).then(|| {
+            let message = format!(
+                "a landmark is {} of the diagonal from its place on the target: landmarks that contradict each other, or lie on the wrong \
+                 side, lead a wrap astray",
+                percent(self.landmarks.max)
+            );
+            DeformerWarning::new("wrap-landmarks", message, "wrap.landmarks")
+        });
+        far.into_iter().chain(landmarks).collect()
+    }
 }
 
 /// What is to be measured.
