@@ -78,10 +78,18 @@ impl FormatCodec for ObjCodec {
     }
 
     fn beyond_conversion(&self, model: &Model, is_merged: bool) -> Result<Vec<String>, Error> {
-        let BeyondFaces { lines, points, curves } = model.notes_or_refuse::<ObjNotes>(FORMAT)?.beyond;
+        let BeyondFaces {
+            lines,
+            points,
+            curves,
+            groups,
+            smoothings,
+        } = model.notes_or_refuse::<ObjNotes>(FORMAT)?.beyond;
         let drawn = [
             counted(lines, "line", "lines"),
             counted(points, "statement of points", "statements of points"),
+            counted(groups, "group", "groups and objects"),
+            counted(smoothings, "smoothing group", "smoothing groups"),
         ];
         let of_other = drawn.into_iter().filter(|_| !is_merged);
         let curves = counted(curves, "curve or surface", "curves and surfaces");
