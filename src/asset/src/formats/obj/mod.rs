@@ -86,10 +86,10 @@ impl FormatCodec for ObjCodec {
             smoothings,
         } = model.notes_or_refuse::<ObjNotes>(FORMAT)?.beyond;
         let drawn = [
-            counted(lines, "line", "lines"),
-            counted(points, "statement of points", "statements of points"),
             counted(groups, "group", "groups and objects"),
             counted(smoothings, "smoothing group", "smoothing groups"),
+            counted(lines, "line", "lines"),
+            counted(points, "statement of points", "statements of points"),
         ];
         let of_other = drawn.into_iter().filter(|_| !is_merged);
         let curves = counted(curves, "curve or surface", "curves and surfaces");
