@@ -90,7 +90,7 @@ fn contents_of_gltf(json: &Value) -> Counts {
     found
 }
 
-/// What other formats than glTF are not expected to have, and are not told of: the tree and the look, of which each takes what it
+/// What other formats than glTF are not expected to have, without a warning: the tree and the look, of which each takes what it
 /// can. They have to stay in glTF.
 const OWN: (&str, &str, &str) = ("node of the file", "material of the file", "image of the file");
 

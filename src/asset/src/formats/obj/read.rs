@@ -53,7 +53,7 @@ pub(super) struct BeyondFaces {
     pub smoothings: usize,
 }
 
-/// How many names are told apart.
+/// How many names are counted at most.
 const MOST_NAMES: usize = 4096;
 
 /// Takes note of a name; answers how many different ones there are, or 0 where there is one alone.
