@@ -28,8 +28,18 @@ fn bar_at(place: DVec3) -> (Vec<DVec3>, Vec<[u32; 3]>) {
     (positions.iter().map(|p| even(*p - middle) + place).collect(), triangles)
 }
 
-fn text_of(place: DVec3, format: Format) -> String {
-    let (positions, triangles) = bar_at(place);
+/// The same bar with no two lengths alike, so that no decision between two hangs on the last digit of a place.
+fn uneven_bar_at(place: DVec3) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+    let (positions, triangles) = bar_at(DVec3::ZERO);
+    let shaken = |(k, p): (f64, &DVec3)| {
+        let by = DVec3::new(libm::sin(1.7 * k), libm::sin(2.3 * k), libm::sin(3.1 * k));
+        ((*p + 0.01 * by) * 1048576.0).round() / 1048576.0 + place
+    };
+    let numbered = (0..positions.len()).map(|k| k as f64).zip(&positions);
+    (numbered.map(shaken).collect(), triangles)
+}
+
+fn text_of((positions, triangles): &(Vec<DVec3>, Vec<[u32; 3]>), format: Format) -> String {
     let mut text = String::new();
     let numbers = |p: &DVec3| format!("{} {} {}\n", p.x, p.y, p.z);
     let all = || positions.iter().map(numbers).collect::<String>();
@@ -71,6 +81,21 @@ fn text_of(place: DVec3, format: Format) -> String {
 /// Edits that are looked at after a pose too.
 const MAP_EDITS: [&str; 2] = ["smooth", "insertCurve"];
 
+/// Edits of every kind that depends on places.
+fn edits_at(place: DVec3) -> Vec<Value> {
+    let curve = [DVec3::new(0.05, -1.0, 0.2), DVec3::new(-0.05, 1.0, 0.2)]
+        .map(|p| (place + p).to_array())
+        .concat();
+    vec![
+        json!({"subdivide": {"scheme": "LOOP"}}),
+        json!({"decimate": {"ratio": 0.5}}),
+        json!({"remesh": {"edgeLength": 0.2}}),
+        json!({"cut": {"plane": {"normal": [0, 1, 0.1], "offset": place.y + 0.1 * place.z + 0.03}}}),
+        json!({"smooth": {"iterations": 3}}),
+        json!({"insertCurve": {"points": curve}}),
+    ]
+}
+
 /// Every kind of step.
 fn jobs_at(place: DVec3) -> Vec<Value> {
     let pose = json!({"pose": {"handles": [{"id": "top", "pose": {
@@ -81,17 +106,7 @@ fn jobs_at(place: DVec3) -> Vec<Value> {
         {"id": "top", "region": {"box": {"min": (place + DVec3::new(-1.0, 1.5, -1.0)).to_array(),
             "max": (place + DVec3::new(1.0, 2.5, 1.0)).to_array()}}},
     ]);
-    let curve = [DVec3::new(0.05, -1.0, 0.2), DVec3::new(-0.05, 1.0, 0.2)]
-        .map(|p| (place + p).to_array())
-        .concat();
-    let edits = [
-        json!({"subdivide": {"scheme": "LOOP"}}),
-        json!({"decimate": {"ratio": 0.5}}),
-        json!({"remesh": {"edgeLength": 0.2}}),
-        json!({"cut": {"plane": {"normal": [0, 1, 0.1], "offset": place.y + 0.1 * place.z + 0.03}}}),
-        json!({"smooth": {"iterations": 3}}),
-        json!({"insertCurve": {"points": curve}}),
-    ];
+    let edits = edits_at(place);
     // What makes new places is looked at alone: a graph between them depends on their last digits, near the origin as well.
     let is_posed = |edit: &Value| {
         ["subdivide", "decimate", "cut"]
@@ -119,7 +134,11 @@ fn jobs_at(place: DVec3) -> Vec<Value> {
 }
 
 fn run(place: DVec3, job: &Value, format: Format, to: Format, exec: &Exec<'_>) -> BatchOutcome {
-    let files = FileSet::single(format!("bar.{format}"), text_of(place, format));
+    run_on(text_of(&bar_at(place), format), job, [format, to], exec)
+}
+
+fn run_on(text: String, job: &Value, [format, to]: [Format; 2], exec: &Exec<'_>) -> BatchOutcome {
+    let files = FileSet::single(format!("bar.{format}"), text);
     let job = from_json(job.to_string().as_bytes()).expect("a job");
     let done = batch::run(files, &job, Some(to), &DeformerLimits::default(), exec, &|| 0.0);
     done.unwrap_or_else(|e| panic!("{format} to {to}: {e}"))
@@ -169,6 +188,48 @@ fn a_model_far_away_comes_out_where_the_same_one_near_the_origin_does() {
                         wrong.push(format!("{what}: {:?}", codes(&far)));
                     }
                 }
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn every_edit_of_a_shape_posed_far_away_is_the_one_near_the_origin() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let mut wrong = Vec::new();
+    for kind in 0..edits_at(DVec3::ZERO).len() {
+        // The vertices, those of a line on the bar, and points beside it.
+        let edited = |place: DVec3| -> Vec<DVec3> {
+            let mut job = jobs_at(place).swap_remove(1);
+            let steps = job["steps"].as_array_mut().expect("a list");
+            steps.push(json!({"edit": edits_at(place)[kind]}));
+            let beside = [DVec3::new(0.5, 1.9, 0.1), DVec3::new(-0.3, 0.2, 0.4)];
+            let beside = beside.map(|p| (place + p).to_array()).concat();
+            job["create"] = json!({"passengers": [{"points": {"positions": beside}}]});
+            let bar = uneven_bar_at(place);
+            let count = bar.0.len();
+            let ends = [-1.5, 1.75].map(|y| place + DVec3::new(0.2, y, 0.0625));
+            let line = ends.map(|p| format!("v {} {} {}\n", p.x, p.y, p.z)).concat();
+            let text = format!("{}{line}l {} {}\n", text_of(&bar, Format::OBJ), count + 1, count + 2);
+            let done = run_on(text, &job, [Format::OBJ; 2], &exec);
+            let points = done.report.passengers[0].positions.as_chunks::<3>().0.iter();
+            let points = points.map(|p| DVec3::from_array(*p));
+            let places = written_places(&done, Format::OBJ);
+            places.into_iter().chain(points).map(|p| p - place).collect()
+        };
+        let near = edited(DVec3::ZERO);
+        for place in PLACES {
+            let far = edited(place);
+            let off = far.iter().zip(&near).map(|(p, q)| p.distance(*q)).fold(0.0, f64::max);
+            if far.len() != near.len() || off > 1e-6 {
+                wrong.push(format!(
+                    "{}: {off} off, {} of {}",
+                    edits_at(place)[kind],
+                    far.len(),
+                    near.len()
+                ));
             }
         }
     }

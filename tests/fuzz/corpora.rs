@@ -342,6 +342,7 @@ fn model_record() -> Vec<u8> {
         of_today: true,
         loose_vertices_ride: true,
         near_origin: true,
+        every_cut_ends_lines: true,
         label: "a box".into(),
         format: Format::OBJ,
         graph_bytes: Some(1 << 30),

@@ -58,6 +58,12 @@ pub(super) trait FormatCodec: Sync {
         Ok(FollowedCounts::default())
     }
 
+    /// Whether a primitive of points or lines of a model that this codec has read stays as it is stored, wherever its vertices go.
+    fn stays_stored(&self, model: &Model, primitive: usize) -> Result<bool, Error> {
+        let _ = (model, primitive);
+        Ok(false)
+    }
+
     /// The names of the joints of a model that this codec has read.
     fn joint_names(&self, model: &Model) -> Result<BTreeSet<String>, Error> {
         let _ = model;
@@ -137,7 +143,7 @@ pub(super) trait FormatCodec: Sync {
         None
     }
 
-    /// The segments of the lines of a model that this codec has read, by their render vertices.
+    /// The segments of the lines of a model that this codec has read, by their render vertices; of points of glTF both ends are one.
     fn segments(&self, model: &Model) -> Result<Vec<[u32; 2]>, Error> {
         let _ = model;
         Ok(Vec::new())

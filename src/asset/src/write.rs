@@ -173,13 +173,29 @@ impl Model {
         if codec_of(format).patches_files_of(self.format) {
             written.followed.count_nodes(followers.nodes);
         }
-        let passengers = self.geometry.primitives.iter().filter(|p| p.is_passenger);
-        for passenger in passengers {
+        for (number, passenger) in self.geometry.primitives.iter().enumerate() {
             let own = passenger.vertices();
             let has_moved = !is_same(&self.positions[own.clone()], &positions[own]);
-            written.followed.count_passenger(has_moved);
+            self.count_passenger(number, has_moved, format, &mut written)?;
         }
         Ok(written)
+    }
+
+    /// Counts a primitive that rides along, where a file of `format` has it.
+    fn count_passenger(
+        &self,
+        number: usize,
+        has_moved: bool,
+        format: Format,
+        written: &mut WrittenFiles,
+    ) -> Result<(), Error> {
+        let primitive = &self.geometry.primitives[number];
+        let is_drawn = primitive.index_count == 0;
+        if primitive.is_passenger && (!is_drawn || codec_of(format).patches_files_of(self.format)) {
+            let moves = has_moved && !(is_drawn && self.codec().stays_stored(self, number)?);
+            written.followed.count_passenger(moves);
+        }
+        Ok(())
     }
 
     fn write_checked(
@@ -261,7 +277,8 @@ pub fn missing_companions(files: &FileSet) -> Vec<String> {
     names
 }
 
-/// The segments of the lines of an edited model, by its vertices: those of the files, as edits have divided and shortened them.
+/// The segments of the lines of an edited model, by its vertices: those of the files, as edits have divided and shortened them. Of
+/// points of glTF both ends are one.
 ///
 /// # Errors
 /// [`Error::Malformed`] for lines that cannot be read.
@@ -329,12 +346,11 @@ pub fn write_edited_model_following<'a>(
     if (edited.bases.first()).is_some_and(|base| codec_of(format).patches_files_of(base.model.format)) {
         written.followed.count_nodes(followers.nodes);
     }
-    let passengers = edited.runs.iter().filter(|run| edited.primitive(run).is_passenger);
-    for run in passengers {
+    for run in edited.runs.iter().filter(|run| edited.primitive(run).is_passenger) {
         let before = CarriedAttributes::before(edited, run);
-        written
-            .followed
-            .count_passenger(!is_same(&before, &positions[run.vertices()]));
+        let has_moved = !is_same(&before, &positions[run.vertices()]);
+        let model = edited.base(run).model;
+        model.count_passenger(run.primitive as usize, has_moved, format, &mut written)?;
     }
     Ok(written)
 }

@@ -211,9 +211,9 @@ def ply(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> bytes:
     return header.encode() + points.astype("<f4" if single else "<f8").tobytes() + rows.tobytes()
 
 
-def warn_of(chunks: Iterable[pb.Chunk]) -> None:
-    """Issues what an export says of itself as warnings of Python: what the files do not hold, or what may not fit any more."""
-    for told in (warning for chunk in chunks for warning in chunk.warnings):
+def warn_of(answers: Iterable[pb.Chunk | pb.CarryResponse]) -> None:
+    """Issues what written files say of themselves as warnings of Python: what they do not hold, or what may not fit any more."""
+    for told in (warning for answer in answers for warning in answer.warnings):
         place = f" ({told.where})" if told.where else ""
         warnings.warn(f"{told.code}: {told.message}{place}", UserWarning, stacklevel=2)
 

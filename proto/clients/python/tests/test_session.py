@@ -70,6 +70,10 @@ def test_points_and_models_ride_along(held: pliant.Session) -> None:
     assert carried.startswith(b"OFF") and carried != hull
     with pytest.raises(pliant.InvalidArgument, match="model"):
         held.carry_model(b"no model")
+    # A splat without a rotation.
+    splat = np.array([0.8, 1.6, 0, 0.1, 0.1, 0.1], "<f4").tobytes() + bytes([255] * 4 + [128] * 4)
+    with pytest.warns(UserWarning, match="splats-unsound"):
+        assert len(held.carry_model(splat, "splat")) == len(splat)
     for wrong in ([1, 2], [[0, 0, np.nan]], np.zeros((2, 2, 3))):
         with pytest.raises((ValueError, pliant.InvalidArgument), match="points"):
             held.carry(wrong)

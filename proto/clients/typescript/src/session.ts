@@ -5,6 +5,7 @@ import type { CrossingsResponse, EditResult, HistoryResponse, MakeRigResponse, Q
 import {
   CarryRequestSchema,
   CarryResponseSchema,
+  type CarryResponse,
   CrossingsRequestSchema,
   CrossingsResponseSchema,
   type EditRequest_AdoptSchema,
@@ -95,6 +96,9 @@ export interface Carried {
   readonly scales: Float64Array;
   readonly revision: number;
 }
+
+/** A model file carried along with a shape. */
+export type CarriedModel = Pick<CarryResponse, "model" | "warnings">;
 
 /** A session that is open on the server. Every method calls the server; `facts` is its last answer. */
 export class Session {
@@ -285,11 +289,14 @@ export class Session {
     };
   }
 
-  /** Carries a model file, or Gaussian splats, that stand in the same rest pose, and answers it in its own format. */
-  async carryModel(model: Uint8Array, format: Format | "splat" | "spz" | "" = "", call: CallOptions = {}): Promise<Uint8Array> {
+  /**
+   * Carries a model file, or Gaussian splats, that stand in the same rest pose, and answers it in its own format, with what of it may
+   * not fit.
+   */
+  async carryModel(model: Uint8Array, format: Format | "splat" | "spz" | "" = "", call: CallOptions = {}): Promise<CarriedModel> {
     const json = jsonOf(CarryRequestSchema, { model, format });
     const answer = await this.transport.message(CarryResponseSchema, "POST", this.path("/carry"), { ...call, json });
-    return answer.model;
+    return { model: answer.model, warnings: answer.warnings };
   }
 
   /**

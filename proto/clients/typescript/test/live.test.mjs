@@ -58,8 +58,12 @@ test("points and models ride along", { skip }, async () => {
   assert.ok(Math.hypot(carried.points[0] - 0.76, carried.points[1] - 1.9, carried.points[2] - 0.1) < 0.03, `${carried.points}`);
   assert.ok(carried.scales.every((scale) => Math.abs(scale - 1) < 0.2));
   const hull = new TextEncoder().encode("OFF\n3 1 0\n0.7 1.5 0\n0.8 1.6 0\n0.9 1.5 0\n3 0 1 2\n");
-  const text = new TextDecoder().decode(await session.carryModel(hull, "off"));
+  const text = new TextDecoder().decode((await session.carryModel(hull, "off")).model);
   assert.ok(text.startsWith("OFF") && Math.abs(Number(text.split("\n")[2].split(" ")[1]) - 1.8) < 0.05, text);
+  // A splat without a rotation.
+  const splat = new Uint8Array([...new Uint8Array(new Float32Array([0.8, 1.6, 0, 0.1, 0.1, 0.1]).buffer), 255, 255, 255, 255, 128, 128, 128, 128]);
+  const { model, warnings } = await session.carryModel(splat, "splat");
+  assert.deepEqual([model.length, warnings.map(({ code }) => code)], [splat.length, ["splats-unsound"]]);
   await assert.rejects(session.carry([1, 2]), (error) => error instanceof PliantError && error.message.includes("points"));
   await session.close();
 });

@@ -15,6 +15,8 @@ pub(crate) struct FollowedLines {
     between: BTreeMap<[u32; 2], Vec<(f64, u32)>>,
     /// The edges of the triangles, the lower vertex first.
     edges: BTreeSet<[u32; 2]>,
+    /// The vertices of the triangles, rising.
+    in_triangle: Vec<u32>,
 }
 
 impl FollowedLines {
@@ -24,6 +26,7 @@ impl FollowedLines {
             same: BTreeMap::new(),
             between: BTreeMap::new(),
             edges: BTreeSet::new(),
+            in_triangle: Vec::new(),
         };
         for run in runs {
             for (vertex, number) in run.vertices().zip(0..) {
@@ -45,6 +48,9 @@ impl FollowedLines {
                 followed.edges.extend([[a, b], [b, c], [c, a]].map(sorted));
             }
         }
+        followed.in_triangle = followed.edges.iter().flatten().copied().collect();
+        followed.in_triangle.sort_unstable();
+        followed.in_triangle.dedup();
         for places in followed.between.values_mut() {
             places.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
         }
@@ -60,16 +66,8 @@ impl FollowedLines {
     /// it is left, and no piece of it.
     pub fn edges_along(&self, from: u32, to: u32) -> Option<Vec<[u32; 2]>> {
         let copies = |old: u32| self.same.get(&old).cloned().unwrap_or_default();
-        // Copies of one place stand together.
         let mut levels: Vec<Vec<u32>> = vec![copies(from)];
-        let mut last = f64::NEG_INFINITY;
-        for (at, vertex) in self.inside(from, to) {
-            match levels.last_mut() {
-                Some(level) if at - last <= SAME_PLACE => level.push(vertex),
-                _ => levels.push(vec![vertex]),
-            }
-            last = at;
-        }
+        levels.extend(self.levels_inside(from, to));
         levels.push(copies(to));
         let mut found = Vec::new();
         for pair in levels.windows(2) {
@@ -80,60 +78,94 @@ impl FollowedLines {
         (is_gone || !found.is_empty()).then_some(found)
     }
 
-    /// What is left of the segment between two old vertices: itself, with what an edit has put between, or a part of it.
-    pub fn segment(&self, from: u32, to: u32) -> Vec<u32> {
-        let ends = [from, to].map(|old| self.vertex(old));
-        let [first, last] = ends.map(|end| end.into_iter());
-        first.chain(self.places_inside(from, to)).chain(last).collect()
-    }
-
     /// A line through old vertices, in pieces: through those of them that are left, and what lies on the edges between. It
     /// ends where a cut has gone through such an edge. And how many vertices are not there; pieces of one vertex are none.
     pub fn line(&self, old: &[u32]) -> (Vec<Vec<u32>>, usize) {
-        let mut pieces: Vec<Vec<u32>> = Vec::new();
-        let mut piece: Vec<u32> = Vec::with_capacity(old.len());
-        let mut lost = 0;
-        let mut is_cut = false;
+        let mut levels: Vec<Vec<u32>> = Vec::with_capacity(old.len());
+        // For each old vertex how many levels come before its own.
+        let mut starts = Vec::with_capacity(old.len());
         for (i, &vertex) in old.iter().enumerate() {
-            let now = self.vertex(vertex);
-            lost += usize::from(now.is_none());
-            let inside = match i.checked_sub(1) {
-                Some(before) => self.places_inside(old[before], vertex),
-                None => Vec::new(),
-            };
-            let from_gone = i > 0 && self.vertex(old[i - 1]).is_none();
-            let begins = from_gone && (is_cut || !inside.is_empty());
-            if let Some(first) = inside.first().copied().or(now)
-                && begins
-                && !piece
-                    .last()
-                    .is_some_and(|&last| self.edges.contains(&sorted([last, first])))
-            {
-                pieces.push(std::mem::take(&mut piece));
+            if let Some(before) = i.checked_sub(1) {
+                levels.extend(self.levels_inside(old[before], vertex));
             }
-            is_cut = match now {
-                Some(_) => false,
-                None => !inside.is_empty() || (is_cut && from_gone),
-            };
-            piece.extend(inside);
-            piece.extend(now);
+            starts.push(levels.len());
+            levels.push(self.same.get(&vertex).cloned().unwrap_or_default());
+        }
+        let mut pieces: Vec<Vec<u32>> = Vec::new();
+        let mut piece: Vec<u32> = Vec::with_capacity(levels.len());
+        let mut is_cut = false;
+        let (mut next, mut from_gone) = (0, false);
+        for &own in &starts {
+            let inside = next..own;
+            let is_gone = levels[own].is_empty();
+            let begins = from_gone && (is_cut || !inside.is_empty());
+            for at in next..=own {
+                let Some((arrive, leave)) = self.ends_at(&levels, at) else {
+                    continue;
+                };
+                let is_joined = |last: &u32| self.edges.contains(&sorted([*last, arrive]));
+                if at == next && begins && !piece.last().is_some_and(is_joined) {
+                    pieces.push(std::mem::take(&mut piece));
+                }
+                piece.push(arrive);
+                if leave != arrive {
+                    pieces.push(std::mem::replace(&mut piece, vec![leave]));
+                }
+            }
+            is_cut = is_gone && (!inside.is_empty() || (is_cut && from_gone));
+            (next, from_gone) = (own + 1, is_gone);
         }
         pieces.push(piece);
         pieces.retain(|piece| piece.len() > 1);
-        (pieces, lost)
+        (pieces, starts.iter().filter(|own| levels[**own].is_empty()).count())
     }
 
-    /// The vertices on the edge between two old ones, one for each place.
-    fn places_inside(&self, from: u32, to: u32) -> Vec<u32> {
-        let mut level = f64::NEG_INFINITY;
-        let mut found = Vec::new();
-        for (place, vertex) in self.inside(from, to) {
-            if place - level > SAME_PLACE {
-                found.push(vertex);
-            }
-            level = place;
+    /// What is left of the segment between two old vertices, in pieces: itself, with what an edit has put between, or parts of it.
+    pub fn segment(&self, from: u32, to: u32) -> Vec<[u32; 2]> {
+        let (pieces, _) = self.line(&[from, to]);
+        let pairs = pieces.iter().flat_map(|piece| piece.windows(2));
+        pairs.map(|pair| [pair[0], pair[1]]).collect()
+    }
+
+    /// The copies by which a line comes to a place and leaves it: two where a cut has parted it there. `None` where there are none.
+    fn ends_at(&self, levels: &[Vec<u32>], at: usize) -> Option<(u32, u32)> {
+        let copies = &levels[at];
+        let (&first, &last) = (copies.first()?, copies.last()?);
+        if copies.len() == 1 {
+            return Some((first, first));
         }
-        found
+        if copies.iter().all(|copy| self.in_triangle.binary_search(copy).is_err()) {
+            return Some((first, last));
+        }
+        let side = |level: Option<&Vec<u32>>| {
+            let joined =
+                |copy: &&u32| level.is_some_and(|l| l.iter().any(|v| self.edges.contains(&sorted([*v, **copy]))));
+            copies.iter().filter(joined).copied().collect::<Vec<u32>>()
+        };
+        let before = side(at.checked_sub(1).map(|k| &levels[k]));
+        let after = side(levels.get(at + 1));
+        Some(match (before.first(), after.first()) {
+            (None, None) => (first, first),
+            (Some(&only), None) | (None, Some(&only)) => (only, only),
+            (Some(&arrive), Some(&leave)) => {
+                let both = before.iter().find(|copy| after.contains(copy));
+                both.map_or((arrive, leave), |&copy| (copy, copy))
+            }
+        })
+    }
+
+    /// The vertices on the edge between two old ones, copies of one place together.
+    fn levels_inside(&self, from: u32, to: u32) -> Vec<Vec<u32>> {
+        let mut levels: Vec<Vec<u32>> = Vec::new();
+        let mut last = f64::NEG_INFINITY;
+        for (at, vertex) in self.inside(from, to) {
+            match levels.last_mut() {
+                Some(level) if at - last <= SAME_PLACE => level.push(vertex),
+                _ => levels.push(vec![vertex]),
+            }
+            last = at;
+        }
+        levels
     }
 
     /// The vertices on the edge between two old ones, from the first to the second.
@@ -162,8 +194,10 @@ pub(crate) fn segments_of(
         }
         let followed = FollowedLines::of_runs(edited, edited.runs.iter().filter(|run| run.base == base));
         for [from, to] in segments {
-            let chain = followed.segment(from, to);
-            found.extend(chain.windows(2).map(|pair| [pair[0], pair[1]]));
+            match from == to {
+                true => found.extend(followed.vertex(from).map(|v| [v; 2])),
+                false => found.extend(followed.segment(from, to)),
+            }
         }
     }
     Ok(found)

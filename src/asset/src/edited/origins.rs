@@ -47,7 +47,11 @@ impl<'a> CarriedAttributes<'a> {
         let gradients = if edited.primitive(run).has_normals && used.contains(&false) {
             // Those in no triangle turn with the surface around them, which may be another run's.
             let all: Vec<DVec3> = edited.runs.iter().flat_map(|run| Self::before(edited, run)).collect();
-            let all = shading::gradients_of_all(&all, positions, edited.triangles, run.vertices());
+            // A cap is blended from its rim, so that it has no shape before.
+            let is_cap = |t: &&[u32; 3]| t.iter().all(|&v| edited.is_bare(v as usize));
+            let walls: Vec<[u32; 3]> = edited.triangles.iter().filter(|t| !is_cap(t)).copied().collect();
+            let triangles = if walls.is_empty() { edited.triangles } else { &walls };
+            let all = shading::gradients_of_all(&all, positions, triangles, run.vertices());
             all[run.vertices()].to_vec()
         } else {
             shading::gradients(&before, now, &triangles, &triangles, now.len())

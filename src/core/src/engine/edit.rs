@@ -15,10 +15,11 @@ use super::edit_surface::EditSurface;
 use super::error::Error;
 use super::facts::{DeformerWarning, MeshCounts};
 use super::handle::Region;
+use super::line_cuts::cut_lines;
 use super::part_families::VertexOrigins;
 use super::quality::{HandleBend, largest_turn};
 use super::region_context::{RegionContext, nodes_in_region, vertices_in_region, vertices_of_handle};
-use super::riding_edits::{RiddenEdit, cut_segments, take_splats};
+use super::riding_edits::{RiddenEdit, take_splats};
 use super::seams::Seams;
 use super::settings::{EDITED_AT_REST, ESTIMATED_MEMORY, HeldBeside, SolveMode, SolveSettings};
 use super::shape::{ModelShape, Shading};
@@ -27,6 +28,7 @@ use super::wrap::WrapReport;
 use super::{Deformer, digest};
 use crate::edit::{PatchedSurface, SurfacePatch, apply_patch};
 use crate::exec::Exec;
+use crate::mesh::NONE;
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -177,9 +179,11 @@ impl Deformer {
         let follows = self.options.loose_vertices_ride;
         let (before, firsts) = (surface.own_surface(), surface.first_vertices());
         (surface.seams).part_facets(patch, &before);
-        if let Some((plane, keeps_above)) = order.edit.one_sided_plane().filter(|_| follows) {
+        let ends_lines = self.options.every_cut_ends_lines || order.edit.one_sided_plane().is_some();
+        if order.edit.kind() == EditKind::Cut && follows && ends_lines && before.point_of.contains(&NONE) {
             let segments = origins.line_segments(self.geometry())?;
-            cut_segments(patch, &before, &segments, &plane, keeps_above, &firsts);
+            let surfaces = [&before, &surface.surface()];
+            cut_lines(patch, surfaces, &segments, order.edit, &firsts, exec)?;
         }
         let cut = order.edit.one_sided_plane();
         let takes = cut.is_some() || matches!(order.edit.kind(), EditKind::Delete | EditKind::Clean);
@@ -192,6 +196,7 @@ impl Deformer {
             before,
             patch,
             kind: order.edit.kind(),
+            drawn: &|| Ok(origins.line_segments(self.geometry())?),
             follows,
         };
         let left_behind = ridden.follow(&mut applied, exec)?;

@@ -64,7 +64,7 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
                 hard_caps: &context.hard_caps(),
                 own_caps,
             };
-            plan_cut(context, along, &options, exec)?
+            plan_cut(&surface, along, &options, exec)?
         }
         Edit::Subdivide {
             region,
@@ -234,26 +234,26 @@ impl EditContext<'_> {
     }
 }
 
-fn plan_cut(
-    context: &EditContext<'_>,
+/// Plans a cut of a surface.
+pub(super) fn plan_cut(
+    surface: &SurfaceView<'_>,
     along: &CutLine,
     options: &CutOptions<'_>,
     exec: &Exec<'_>,
 ) -> Result<SurfacePatch, Error> {
-    let surface = context.surface.surface();
     Ok(match along {
         CutLine::Plane(plane) => {
             let (normal, point) = plane.unit_normal_and_point();
             let offset = normal.dot(point);
-            edit::cut_by_plane(&surface, &CutPlane { normal, offset }, options, exec.progress)?
+            edit::cut_by_plane(surface, &CutPlane { normal, offset }, options, exec.progress)?
         }
         CutLine::Polyline { points, closed } => {
             let curve = SurfaceCurve::Drawn(points);
-            edit::cut_along_curve(&surface, &curve, *closed, options, exec.progress)?
+            edit::cut_along_curve(surface, &curve, *closed, options, exec.progress)?
         }
         CutLine::Path { vertices, closed } => {
-            let path = points_of(&surface, vertices, "cut.path")?;
-            edit::cut_along_curve(&surface, &SurfaceCurve::Along(&path), *closed, options, exec.progress)?
+            let path = points_of(surface, vertices, "cut.path")?;
+            edit::cut_along_curve(surface, &SurfaceCurve::Along(&path), *closed, options, exec.progress)?
         }
     })
 }

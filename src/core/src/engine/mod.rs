@@ -42,6 +42,7 @@ mod error;
 mod facts;
 mod handle;
 mod handle_targets;
+mod line_cuts;
 mod model_topology;
 mod other_model;
 mod part_families;

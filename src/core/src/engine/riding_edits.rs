@@ -7,7 +7,7 @@ use super::edit_command::EditKind;
 use super::error::Error;
 use super::facts::DeformerWarning;
 use super::riding::{LEAST_LOOSE_VISITS, RidingModel, VISITS_PER_LOOSE_VERTEX};
-use crate::edit::{CutPlane, EditWarning, NewVertex, PatchedSurface, SurfacePatch, SurfaceView};
+use crate::edit::{CutPlane, EditWarning, PatchedSurface, SurfacePatch, SurfaceView};
 use crate::exec::Exec;
 use crate::mesh::query::TriangleBvh;
 use crate::mesh::query::closest_point::closest_weights_on_triangle;
@@ -33,6 +33,8 @@ pub(super) struct RiddenEdit<'a> {
     pub before: SurfaceView<'a>,
     pub patch: &'a SurfacePatch,
     pub kind: EditKind,
+    /// Which vertices are ends of lines, or points, of the surface before.
+    pub drawn: &'a dyn Fn() -> Result<Vec<[u32; 2]>, Error>,
     /// Whether what rides along goes with the surface. Sessions of before leave it where it was.
     pub follows: bool,
 }
@@ -74,7 +76,19 @@ impl RiddenEdit<'_> {
                 applied.positions[vertex as usize] = place;
             }
         }
+        if taken.iter().any(|v| self.may_be_unused(*v)) {
+            // What a primitive of lines shares with triangles and does not draw is not there to be seen.
+            let mut drawn = (self.drawn)()?.into_flattened();
+            drawn.sort_unstable();
+            taken.retain(|v| !self.may_be_unused(*v) || drawn.binary_search(v).is_ok());
+        }
         Ok(self.warning(&taken))
+    }
+
+    /// Whether a vertex is of a primitive that draws points or lines between some of its vertices.
+    fn may_be_unused(self, vertex: u32) -> bool {
+        let own = self.model.primitives.partition_point(|p| p.first_vertex <= vertex) - 1;
+        self.model.primitives[own].index_count == 0 && !self.model.of_splats
     }
 
     /// Names what stood on surface that is gone.
@@ -110,54 +124,6 @@ fn too_long(loose: usize) -> DeformerWarning {
          finding the places under them takes too long; remesh the model to give it faces of about one size"
     );
     DeformerWarning::new("loose-vertices-stay", message, "")
-}
-
-/// Cuts lines beside the surface by a plane: what is beyond it goes, and a segment that crosses it ends there. `keeps_above` says
-/// which side stays. Lines between vertices of the surface are cut with it.
-pub(super) fn cut_segments(
-    patch: &mut SurfacePatch,
-    before: &SurfaceView<'_>,
-    segments: &[[u32; 2]],
-    plane: &CutPlane,
-    keeps_above: bool,
-    first_vertices: &[u32],
-) {
-    let side = if keeps_above { 1.0 } else { -1.0 };
-    let unit = plane.normal.length();
-    let height = |v: u32| side * (plane.normal.dot(before.positions[v as usize]) - plane.offset) / unit;
-    let is_loose = |segment: &&[u32; 2]| segment.iter().all(|&v| before.point_of[v as usize] == NONE);
-    let (mut gone, mut count) = (Vec::new(), 0);
-    for &[a, b] in segments.iter().filter(is_loose) {
-        let (above_a, above_b) = (height(a), height(b));
-        gone.extend(
-            [(a, above_a), (b, above_b)]
-                .iter()
-                .filter(|end| end.1 < 0.0)
-                .map(|end| end.0),
-        );
-        count += usize::from(above_a < 0.0 && above_b < 0.0);
-        if (above_a < 0.0) == (above_b < 0.0) || above_a == 0.0 || above_b == 0.0 {
-            continue;
-        }
-        let weight = above_a / (above_a - above_b);
-        patch.vertices.push(NewVertex {
-            primitive: first_vertices.partition_point(|&first| first <= a) as u32 - 1,
-            point: NONE,
-            position: before.positions[a as usize].lerp(before.positions[b as usize], weight),
-            of: [a, b, a],
-            weights: [1.0 - weight, weight, 0.0],
-        });
-    }
-    gone.sort_unstable();
-    gone.dedup();
-    if count > 0 {
-        let segments = if count == 1 { "segment" } else { "segments" };
-        let message = format!("{count} {segments} of lines were beyond the plane, and went with what was cut off");
-        patch.warnings.push(EditWarning::new("lines-cut", message, ""));
-    }
-    patch.idle.extend(gone);
-    patch.idle.sort_unstable();
-    patch.idle.dedup();
 }
 
 /// Takes the splats of a model of their own along with what an edit takes: those beyond the plane of a cut, and those of which the

@@ -31,6 +31,9 @@ pub struct OpenOptions {
     /// Whether vertices in no triangle, those of points and lines among them, ride along as well. Records of the time before
     /// lack it: there the nodes of hard handles took those in their region along, and all others stayed.
     pub loose_vertices_ride: bool,
+    /// Whether every cut ends lines beside the surface. Records of the time before lack it: there only one by a plane that keeps one
+    /// side did.
+    pub every_cut_ends_lines: bool,
     /// What else of the model's file follows its shape.
     pub following: Following,
     /// About how many triangles the surface around a model of Gaussian splats has.
@@ -74,6 +77,7 @@ impl Default for OpenOptions {
             },
             passengers: Vec::new(),
             loose_vertices_ride: true,
+            every_cut_ends_lines: true,
             following: Following::default(),
             cage_triangles: asset::Limits::CAGE_TRIANGLES,
             kept_apart: KeptApart::default(),

@@ -63,6 +63,17 @@ fn with_drawn(mode: u64, drawn: &[DVec3], indices: &[u32]) -> FileSet {
     files
 }
 
+/// The model as a written glTF has it.
+fn written_and_opened(deformer: &Deformer, exec: &Exec<'_>) -> Deformer {
+    let written = deformer.write(deformer.rest(), Format::GLTF, exec).expect("written");
+    let files = FileSet {
+        name: "written.gltf".into(),
+        main: written.main.into(),
+        companions: written.companions.into_iter().map(|(n, b)| (n, b.into())).collect(),
+    };
+    open(files, exec)
+}
+
 fn open(files: FileSet, exec: &Exec<'_>) -> Deformer {
     Deformer::open(files, &OpenOptions::default(), &DeformerLimits::default(), exec).expect("opened")
 }
@@ -183,14 +194,7 @@ fn a_cut_ends_lines_at_its_plane() {
             (highest - 1.6).abs() < 1e-6 && places.len() == segments + 1,
             "{places:?}"
         );
-        let positions = deformer.rest().to_vec();
-        let written = deformer.write(&positions, Format::GLTF, &exec).expect("written");
-        let files = FileSet {
-            name: "cut.gltf".into(),
-            main: written.main.into(),
-            companions: written.companions.into_iter().map(|(n, b)| (n, b.into())).collect(),
-        };
-        let again = open(files, &exec);
+        let again = written_and_opened(&deformer, &exec);
         let (read, _) = drawn_places(&again, &exec);
         assert!(
             read.iter().zip(&places).all(|(a, b)| a.distance(*b) < 1e-6),
@@ -211,6 +215,173 @@ fn a_cut_ends_lines_at_its_plane() {
             "{places:?}"
         );
         assert!(places.len() >= 2, "{places:?}");
+    }
+}
+
+/// An OBJ of the tube and of a line through places of its own.
+fn obj_with_line(drawn: &[DVec3]) -> FileSet {
+    let (points, faces) = tube();
+    let vertices = points
+        .iter()
+        .chain(drawn)
+        .map(|p| format!("v {} {} {}\n", p.x, p.y, p.z));
+    let faces = faces
+        .iter()
+        .map(|f| f.map(|v| v + 1))
+        .map(|[a, b, c]| format!("f {a} {b} {c}\n"));
+    let line: String = (0..drawn.len()).map(|k| format!(" {}", points.len() + k + 1)).collect();
+    let text: String = vertices.chain(faces).collect();
+    FileSet::single("tube.obj", format!("{text}l{line}\n"))
+}
+
+/// Between which heights the pieces of the lines of an OBJ reach, rising.
+fn spans_of_lines(text: &str) -> Vec<[f64; 2]> {
+    let numbers = |line: &str| -> Vec<f64> { line.split(' ').map(|n| n.parse().expect("a number")).collect() };
+    let heights: Vec<f64> = text
+        .lines()
+        .filter_map(|l| l.strip_prefix("v "))
+        .map(|l| numbers(l)[1])
+        .collect();
+    let lines = text.lines().filter_map(|l| l.strip_prefix("l ")).map(numbers);
+    let ends = lines.map(|l| [l[0], l[l.len() - 1]].map(|v| heights[v as usize - 1]));
+    let mut spans: Vec<[f64; 2]> = ends.map(|[a, b]| [a.min(b), a.max(b)]).collect();
+    spans.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    spans
+}
+
+/// A line on the tube, along it.
+fn line_along() -> (Vec<DVec3>, Vec<u32>) {
+    (
+        [0.2, 1.15, 2.8].map(|y| DVec3::new(0.5, y, 0.0)).to_vec(),
+        vec![0, 1, 2],
+    )
+}
+
+/// The curve around the tube at a height, of which the left is above.
+fn around(height: f64) -> CutLine {
+    let corner = |k: u32| {
+        let (sine, cosine) = (f64::from(k) * std::f64::consts::FRAC_PI_4 + 0.2).sin_cos();
+        [0.5 * cosine, height, -0.5 * sine]
+    };
+    CutLine::Polyline {
+        points: (0..8).map(corner).map(DVec3::from_array).collect(),
+        closed: true,
+    }
+}
+
+#[test]
+fn every_cut_ends_lines_where_it_ends_the_surface() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let plane = || CutLine::Plane(Plane::new([0.0, 1.0, 0.0], 1.6));
+    for (along, what) in [(plane(), "a plane"), (around(1.6), "a curve")] {
+        for keep in [KeptSide::Both, KeptSide::Above, KeptSide::Below] {
+            let (drawn, indices) = line_along();
+            let cut = Edit::Cut {
+                along: along.clone(),
+                keep,
+                fill: true,
+                cap: None,
+            };
+            let mut deformer = open(obj_with_line(&drawn), &exec);
+            edit(&mut deformer, &cut, &exec);
+            let written = deformer.write(deformer.rest(), Format::OBJ, &exec).expect("written");
+            let spans = spans_of_lines(&String::from_utf8(written.main).expect("text"));
+            // The curve runs a little beside its height where it is laid onto facets.
+            let near = |a: f64, b: f64| (a - b).abs() < if what == "a plane" { 2e-6 } else { 0.05 };
+            let (low, high) = ([0.2, 1.6], [1.6, 2.8]);
+            let wanted: Vec<[f64; 2]> = match keep {
+                KeptSide::Both => vec![low, high],
+                KeptSide::Below => vec![low],
+                KeptSide::Above => vec![high],
+            };
+            let is_right = spans.len() == wanted.len()
+                && spans
+                    .iter()
+                    .zip(&wanted)
+                    .all(|(s, w)| near(s[0], w[0]) && near(s[1], w[1]));
+            assert!(is_right, "{what}, {keep:?}: {spans:?} for {wanted:?}");
+
+            let mut deformer = open(with_drawn(3, &drawn, &indices), &exec);
+            edit(&mut deformer, &cut, &exec);
+            let again = written_and_opened(&deformer, &exec);
+            let vertices = again.facts().primitives[1].vertices();
+            assert_eq!(
+                vertices.len(),
+                if keep == KeptSide::Both {
+                    5
+                } else {
+                    2 + usize::from(keep == KeptSide::Below)
+                }
+            );
+            let normals = shading(again.geometry(), again.rest(), again.rest()).normals;
+            for normal in &normals[vertices] {
+                assert!(normal.distance(glam::Vec3::X) < 1e-5, "{what}, {keep:?}: {normal}");
+            }
+        }
+    }
+}
+
+#[test]
+fn both_halves_of_a_line_go_with_their_halves_of_the_surface() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let (drawn, indices) = line_along();
+    let mut deformer = open(with_drawn(3, &drawn, &indices), &exec);
+    let cut = Edit::Cut {
+        along: CutLine::Plane(Plane::new([0.0, 1.0, 0.0], 1.6)),
+        keep: KeptSide::Both,
+        fill: true,
+        cap: None,
+    };
+    edit(&mut deformer, &cut, &exec);
+    let half = |normal: [f64; 3], offset| Region::HalfSpace(Plane::new(normal, offset));
+    let handles = [
+        Handle::new("low", half([0.0, -1.0, 0.0], -0.3)),
+        Handle::new("high", half([0.0, 1.0, 0.0], 2.7)),
+    ];
+    deformer.set_handles(handles.to_vec(), &exec).expect("handles");
+    let up = HandlePose::translation([0.0, 1.0, 0.0]);
+    let solved = deformer
+        .commit([("high", up)], &SolveSettings::default(), &exec)
+        .expect("solved");
+    let firsts = deformer.facts().primitives.last().expect("two").vertices();
+    let mut heights: Vec<f64> = solved.positions[firsts].iter().map(|p| p.y).collect();
+    heights.sort_by(f64::total_cmp);
+    let wanted = [0.2, 1.15, 1.6, 2.6, 3.8];
+    let off = heights
+        .iter()
+        .zip(wanted)
+        .map(|(a, b)| (a - b).abs())
+        .fold(0.0, f64::max);
+    assert!(heights.len() == 5 && off < 1e-3, "{heights:?}");
+}
+
+#[test]
+fn vertices_that_no_line_draws_are_not_said_to_stay() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    // The line has all vertices of the tube, as one that shares them with its triangles, and draws one edge of the bottom.
+    let (points, faces) = tube();
+    let is_low = |f: &&[u32; 3]| f.iter().all(|&v| points[v as usize].y < 1.0);
+    let face = faces.iter().find(is_low).expect("a low face");
+    for (edges, said) in [(vec![face[0], face[1]], 0), (vec![], 1)] {
+        let indices = if edges.is_empty() {
+            (0..points.len() as u32).collect()
+        } else {
+            edges
+        };
+        let mode = if said == 0 { 1 } else { 0 };
+        let mut deformer = open(with_drawn(mode, &points, &indices), &exec);
+        let cut = Edit::Cut {
+            along: CutLine::Plane(Plane::new([0.0, 1.0, 0.0], 1.6)),
+            keep: KeptSide::Below,
+            fill: true,
+            cap: None,
+        };
+        let warnings = edit(&mut deformer, &cut, &exec).report.warnings;
+        let stay = warnings.iter().filter(|w| w.code == "loose-vertices-stay");
+        assert_eq!(stay.count(), said, "{warnings:?}");
     }
 }
 

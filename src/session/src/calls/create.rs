@@ -176,6 +176,7 @@ fn new_session(
             of_today: true,
             loose_vertices_ride: true,
             near_origin: true,
+            every_cut_ends_lines: true,
             label: record.label.clone(),
             format: opened.deformer.engine.format(),
             graph_bytes: Some(opened.graph_bytes),

@@ -25,6 +25,9 @@ pub(super) struct ModelMessage {
     /// See [`RecordedModel`](super::RecordedModel).
     #[prost(bool, tag = "8")]
     pub near_origin: bool,
+    /// See [`RecordedModel`](super::RecordedModel).
+    #[prost(bool, tag = "9")]
+    pub every_cut_ends_lines: bool,
 }
 
 /// Files by the names of the objects that hold them.

@@ -22,6 +22,8 @@ pub struct RecordedModel {
     pub loose_vertices_ride: bool,
     /// Whether a model far from the origin has the graph that it has near the origin, as it has today.
     pub near_origin: bool,
+    /// Whether every cut ends lines beside the surface, as it does today.
+    pub every_cut_ends_lines: bool,
     /// The session's label.
     pub label: String,
     /// The format of its files.
@@ -42,6 +44,7 @@ impl RecordedModel {
             of_today: self.of_today,
             loose_vertices_ride: self.loose_vertices_ride,
             near_origin: self.near_origin,
+            every_cut_ends_lines: self.every_cut_ends_lines,
         };
         message.encode_to_vec()
     }
@@ -58,6 +61,7 @@ impl RecordedModel {
             of_today: message.of_today,
             loose_vertices_ride: message.loose_vertices_ride,
             near_origin: message.near_origin,
+            every_cut_ends_lines: message.every_cut_ends_lines,
             label: message.label,
             format: Format::from_name(&message.format)
                 .ok_or_else(|| Error::invalid("model.format", "is not a format"))?,
@@ -75,6 +79,7 @@ impl RecordedModel {
         let mut options = open_options(&self.options)?;
         options.loose_vertices_ride = self.loose_vertices_ride;
         options.body.near_origin = self.near_origin;
+        options.every_cut_ends_lines = self.every_cut_ends_lines;
         if !self.of_today {
             let graph = &mut options.body.graph;
             graph.kind = InteriorKind::Paper;
@@ -104,6 +109,7 @@ mod tests {
             of_today: true,
             loose_vertices_ride: true,
             near_origin: true,
+            every_cut_ends_lines: true,
             label: "a label".into(),
             format: Format::OBJ,
             graph_bytes: Some(1 << 40),

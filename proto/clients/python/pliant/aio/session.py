@@ -19,6 +19,7 @@ from ..books import Books, Commit, Traffic, commits
 from ..carried import Carried, carried, model_request, points_request
 from ..declared import CLOSE_SECONDS, GONE, CommitWish, Declared, recorded, to_drag
 from ..frames import Frame, Positions, SolvedFrame, in_model_space
+from ..model import warn_of
 from ..options import SolveFields, options
 from ..poses import Poses
 from ..progress import Meter, ProgressLike
@@ -191,7 +192,7 @@ class Session(Declared):
         What the files do not hold is a warning of Python (`UserWarning`), as of :meth:`export`.
         """
         chunks = await self._exported(format)
-        model.warn_of(chunks)
+        warn_of(chunks)
         return model.joined(chunks)
 
     async def _preview_bytes(self) -> bytes:
@@ -213,9 +214,12 @@ class Session(Declared):
     async def carry_model(self, model: bytes, format: str = "") -> bytes:
         """Carries a model file that stands in the same rest pose, such as a level of detail, a collision hull or Gaussian
         splats (`format` is also "splat" or "spz"), and answers it in its own format. It has to be one file.
+
+        What of it may not fit is a warning of Python (`UserWarning`), as of :meth:`export`.
         """
-        request = model_request(self.id, model, format)
-        return bytes((await self._calls.one("Carry", request)).model)
+        answer = await self._calls.one("Carry", model_request(self.id, model, format))
+        warn_of([answer])
+        return bytes(answer.model)
 
     async def crossings(self, limit: int = 0, *, pairs: bool = False) -> pb.CrossingsResponse:
         """The triangles of the current shape that cross others: ``triangles`` that cross one that they do not cross in the

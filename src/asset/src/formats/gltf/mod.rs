@@ -171,6 +171,14 @@ impl FormatCodec for GltfCodec {
         Ok(extensions::beyond_conversion(&notes.document(model)?, is_merged))
     }
 
+    fn stays_stored(&self, model: &Model, primitive: usize) -> Result<bool, Error> {
+        let notes: &GltfNotes = model.notes_or_refuse(model.format)?;
+        let row = &notes.rows[primitive];
+        let doc = notes.loaded_document(model)?;
+        let stored = &doc.meshes.values[row.mesh].primitives[row.primitive];
+        Ok(row.triangles.is_empty() && row.placement.transforms(&doc, stored)?.inverse().is_none())
+    }
+
     fn joint_names(&self, model: &Model) -> Result<BTreeSet<String>, Error> {
         let notes: &GltfNotes = model.notes_or_refuse(model.format)?;
         let doc = notes.document(model)?;

@@ -78,8 +78,16 @@ impl FormatCodec for ObjCodec {
     }
 
     fn beyond_conversion(&self, model: &Model, is_merged: bool) -> Result<Vec<String>, Error> {
-        let BeyondFaces { lines, points, curves } = model.notes_or_refuse::<ObjNotes>(FORMAT)?.beyond;
+        let BeyondFaces {
+            lines,
+            points,
+            curves,
+            groups,
+            smoothings,
+        } = model.notes_or_refuse::<ObjNotes>(FORMAT)?.beyond;
         let drawn = [
+            counted(groups, "group", "groups and objects"),
+            counted(smoothings, "smoothing group", "smoothing groups"),
             counted(lines, "line", "lines"),
             counted(points, "statement of points", "statements of points"),
         ];

@@ -20,7 +20,7 @@ use crate::{Error, Format, Geometry, Limits};
 use glam::{DVec3, Vec3};
 use pliant_exec::progress::Silent;
 use pliant_mesh::shading;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// The format, by what it is known.
 pub(in super::super) const FORMAT: Format = Format::new(&FormatDetails {
@@ -48,6 +48,20 @@ pub(super) struct BeyondFaces {
     pub points: usize,
     /// Curves and surfaces of any kind.
     pub curves: usize,
+    /// Groups and objects by different names, and different smoothing groups; 0 where all is one.
+    pub groups: usize,
+    pub smoothings: usize,
+}
+
+/// How many names are counted at most.
+const MOST_NAMES: usize = 4096;
+
+/// Takes note of a name; answers how many different ones there are, or 0 where there is one alone.
+fn count_names<'a>(names: &mut BTreeSet<&'a [u8]>, name: &'a [u8]) -> usize {
+    if names.len() < MOST_NAMES {
+        names.insert(name.trim_ascii());
+    }
+    if names.len() > 1 { names.len() } else { 0 }
 }
 
 impl FileNotes for ObjNotes {
@@ -99,10 +113,12 @@ pub(super) struct ObjReader<'a> {
     small_faces: Occurrences,
     bad_normals: Occurrences,
     bad_coordinates: Occurrences,
-    /// The largest vertex that lines and points name, with its line; and words that name none.
+    /// The largest vertex that lines and points name, with its line; words that name none.
     largest_drawn: (u32, u32),
     bad_drawn: Occurrences,
     beyond: BeyondFaces,
+    /// The statements of groups and objects, and of smoothing groups.
+    names: [BTreeSet<&'a [u8]>; 2],
 }
 
 /// How often something was seen, and on which line first.
@@ -140,6 +156,7 @@ impl<'a> ObjReader<'a> {
             largest_drawn: (0, 0),
             bad_drawn: Occurrences::default(),
             beyond: BeyondFaces::default(),
+            names: Default::default(),
         }
     }
 
@@ -177,8 +194,14 @@ impl<'a> ObjReader<'a> {
                 }
                 b"f" => self.read_face(keyword)?,
                 word @ (b"o" | b"g" | b"s" | b"usemtl" | b"mtllib") => {
+                    let statement = &self.bytes[keyword.start..self.lexer.rest_of_line().end];
+                    match word {
+                        b"o" | b"g" => self.beyond.groups = count_names(&mut self.names[0], statement),
+                        b"s" => self.beyond.smoothings = count_names(&mut self.names[1], statement),
+                        _ => {}
+                    }
                     if let Some(kept) = &mut self.kept {
-                        kept.keep_line(word, &self.bytes[keyword.start..self.lexer.rest_of_line().end]);
+                        kept.keep_line(word, statement);
                     }
                 }
                 b"l" => {

@@ -564,3 +564,21 @@ fn options_may_stand_on_either_side_of_a_name() {
     assert_eq!(files("-s 1e300 1e300"), files(""));
     assert_ne!(files("-s 2 2"), files(""));
 }
+
+#[test]
+fn groups_that_another_format_has_not_are_counted() {
+    let text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\ng left\ns 1\nf 1 2 3\ng right\ns off\nf 2 4 3\n";
+    let told = |text: &str| -> Vec<String> {
+        let model =
+            Model::read(FileSet::single("two.obj", text.to_owned()), None, &Limits::default()).expect("readable");
+        let written = model.write(&model.positions, Format::PLY).expect("written");
+        written.warnings.iter().map(|w| w.message.clone()).collect()
+    };
+    assert_eq!(
+        told(text),
+        ["the ply file has not: 2 groups and objects, 2 smoothing groups"]
+    );
+    // One name for all divides nothing.
+    let one = text.replace("g right", "g left").replace("s off", "s 1");
+    assert!(told(&one).is_empty());
+}

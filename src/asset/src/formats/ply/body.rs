@@ -370,7 +370,8 @@ impl PlyHeader {
                 return Err(malformed(lexer.line(), "the file ends inside the header"));
             };
             match lexer.text(keyword) {
-                b"comment" | b"obj_info" => {}
+                // Old files of Blender say `Created by Blender3D` without being a comment.
+                b"comment" | b"obj_info" | b"Created" => {}
                 b"format" => encoding = Some(read_encoding(&mut lexer, keyword)?),
                 b"element" => elements.push(read_element(&mut lexer, keyword)?),
                 b"property" => {

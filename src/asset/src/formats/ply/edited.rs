@@ -377,12 +377,10 @@ impl EditedPlyWriter<'_, '_> {
         for (row, count) in rewired(&self.first.edges, ends, &followed) {
             let [a, b] = ends.map(|end| row[end] as u32);
             // An edge that lies on no triangle joins its two vertices, with what is between them.
-            let chain = followed.segment(a, b);
-            let own = || chain.windows(2).map(|pair| [pair[0], pair[1]]).collect();
             let along = followed
                 .edges_along(a, b)
                 .filter(|along| !along.is_empty())
-                .unwrap_or_else(own);
+                .unwrap_or_else(|| followed.segment(a, b));
             lost += if along.is_empty() { count } else { count - 1 };
             for edge in along {
                 let mut row = row.clone();

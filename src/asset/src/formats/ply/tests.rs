@@ -278,3 +278,12 @@ fn edges_that_name_no_vertex_are_told() {
         assert_eq!(read.warnings.iter().any(|w| w.0 == "bad-line-index"), is_told, "{edge}");
     }
 }
+
+#[test]
+fn a_header_line_of_old_blender_is_skipped() {
+    let text = "ply\nformat ascii 1.0\nCreated by Blender3D 247 - www.blender.org, source file: \nelement vertex 3\n\
+                property float x\nproperty float y\nproperty float z\nelement face 1\nproperty list uchar uint vertex_indices\n\
+                end_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n";
+    let model = Model::read(FileSet::single("old.ply", text), None, &Limits::default()).expect("readable");
+    assert_eq!((model.positions.len(), model.triangles.len()), (3, 1));
+}

@@ -10,7 +10,7 @@ use super::super::text::{index_of, json_array, list_of, value_of, with_member, w
 use super::blended::AccessorNumbers;
 use super::primitives::PrimitiveMaker;
 use crate::Error;
-use crate::edited::{FollowedLines, PrimitiveRun};
+use crate::edited::{FollowedLines, PrimitiveRun, VertexBlend};
 
 impl PrimitiveMaker<'_, '_> {
     /// Writes which of the new vertices points and lines are drawn between, and in which mode: lines that an edit has divided or
@@ -24,15 +24,20 @@ impl PrimitiveMaker<'_, '_> {
         let stored = stored_elements(self.doc, primitive, row.vertices.clone())?;
         let followed = FollowedLines::of_runs(self.edited, std::iter::once(run));
         let there: Option<Vec<u32>> = stored.iter().map(|old| followed.vertex(*old)).collect();
-        let is_whole = run.vertex_count as usize == row.vertices.len();
+        let is_new = |vertex: usize| matches!(self.edited.blend(vertex), VertexBlend::Blend(_));
+        let is_whole = run.vertex_count as usize == row.vertices.len() && !run.vertices().any(is_new);
         let (numbers, mode) = match (there, primitive.mode()) {
             (Some(there), mode) if is_whole || mode == 0 => (there, mode),
             (_, 0) => (stored.iter().filter_map(|old| followed.vertex(*old)).collect(), 0),
             (_, mode) => {
                 let segments = segments_between(&stored, mode).into_iter();
-                let chains = segments.map(|[from, to]| followed.segment(from, to));
-                let pairs = chains.flat_map(|chain| chain.windows(2).flat_map(<[u32]>::to_vec).collect::<Vec<u32>>());
-                (pairs.collect(), 1)
+                (
+                    segments
+                        .flat_map(|[from, to]| followed.segment(from, to))
+                        .flatten()
+                        .collect(),
+                    1,
+                )
             }
         };
         let own: Vec<u32> = numbers.iter().map(|v| v - run.first_vertex).collect();
@@ -108,16 +113,18 @@ impl PrimitiveMaker<'_, '_> {
     }
 }
 
-/// The segments of the lines of a document, by the vertices of its model.
+/// The segments of the lines of a document, by the vertices of its model; of points both ends are one.
 pub(in super::super) fn segments(doc: &GltfDocument<'_>, notes: &GltfNotes) -> Result<Vec<[u32; 2]>, Error> {
     let mut found = Vec::new();
     for row in &notes.rows {
         let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
-        if let mode @ 1..4 = primitive.mode() {
-            found.extend(segments_between(
-                &stored_elements(doc, primitive, row.vertices.clone())?,
-                mode,
-            ));
+        let mode = primitive.mode();
+        if mode < 4 {
+            let stored = stored_elements(doc, primitive, row.vertices.clone())?;
+            found.extend(match mode {
+                0 => stored.iter().map(|v| [*v; 2]).collect(),
+                _ => segments_between(&stored, mode),
+            });
         }
     }
     Ok(found)
