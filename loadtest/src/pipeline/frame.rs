@@ -4,7 +4,7 @@ use super::{MeasuredModel, PassClock, encode_positions, open_for_job, seconds_of
 use crate::failure::LoadtestFailure;
 use crate::measurements::{Measurements, median, time_once};
 use crate::models::DragScene;
-use pliant::engine::{Deformer, SolveMode};
+use pliant::engine::{Deformer, SolveMode, SolveSettings};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -30,7 +30,7 @@ const PASSES: [(&str, &str); 12] = [
     ("store", "double precision alone: out of the solver's order"),
     ("place", "surface nodes to their positions"),
     ("settle", "thin faces"),
-    ("render", "render vertices"),
+    ("render", "render vertices, and what rides along"),
 ];
 
 /// Arguments of `loadtest frame`.
@@ -47,6 +47,9 @@ pub(crate) struct FrameArgs {
     /// Largest error to reach, as a fraction of the diagonal
     #[arg(long, value_name = "ERROR")]
     max_error: Option<f64>,
+    /// Ask for gradients: what rides along turns and stretches too
+    #[arg(long)]
+    gradients: bool,
     /// Print one JSON document on stdout
     #[arg(long)]
     json: bool,
@@ -99,7 +102,10 @@ fn drag_frames(
         max_error: args.max_error.unwrap_or(0.0),
         ..Default::default()
     };
-    let settings = DeformOptions::check(&options, "options", u32::MAX)?.solve;
+    let settings = SolveSettings {
+        gradients: args.gradients,
+        ..DeformOptions::check(&options, "options", u32::MAX)?.solve
+    };
     let clock = PassClock::new();
     let mut poses = set_job_handles(&mut deformer, &scene.job(None), &Exec::new(pool, &Silent))?;
     let mut run = FrameRun {

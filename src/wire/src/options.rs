@@ -81,6 +81,11 @@ impl DeformOptions {
                            the two, or changedOnly with F32, U16 or MESHOPT";
             return Err(Error::invalid(at("output.changedOnly"), problem));
         }
+        if output.changed_only.is_some() && output.gradients {
+            let problem = "stands beside changedOnly, which lists vertices by how far they have moved and not by how they have turned; \
+                           allowed are one of the two, or gradients with DELTA";
+            return Err(Error::invalid(at("output.gradients"), problem));
+        }
         let quality = Quality {
             tolerance: if tolerance.is_none() && max_error.is_none() {
                 Quality::DEFAULT.tolerance
@@ -101,6 +106,7 @@ impl DeformOptions {
         Ok(Self {
             solve: SolveSettings {
                 method,
+                gradients: output.gradients,
                 ..quality.into()
             },
             budget_ms,
@@ -112,6 +118,7 @@ impl DeformOptions {
                 changed_only: output.changed_only,
                 encoding,
                 self_intersections: output.self_intersections,
+                gradients: output.gradients,
                 asked: 0,
             },
             window: if options.window == 0 {

@@ -20,7 +20,16 @@ Positions = npt.NDArray[np.floating[Any]]
 #: What is behind frames that have another number of vertices.
 _EDITED = "after an edit, its undo or redo, open a new stream"
 
-_NUMBERS = {pb.Frame.POSITION: 3, pb.Frame.NORMAL: 3, pb.Frame.TANGENT: 4}
+_NUMBERS = {
+    pb.Frame.POSITION: 3,
+    pb.Frame.NORMAL: 3,
+    pb.Frame.TANGENT: 4,
+    pb.Frame.ROTATION: 4,
+    pb.Frame.STRETCH: 3,
+    pb.Frame.SHEAR: 3,
+}
+#: Steps of these lie between -4 and 4, of other directions between -1 and 1.
+_STRETCHES = (pb.Frame.STRETCH, pb.Frame.SHEAR)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +47,12 @@ class Frame:
     #: (render vertices, 4), where asked for; zeros for primitives without tangents (with packed encodings about 1.5e-5,
     #: which is next to zero among their steps).
     tangents: Floats | None
+    #: (render vertices, 4), with ``gradients``: unit quaternions x, y, z, w, by which space around each vertex has turned.
+    rotations: Floats | None
+    #: (render vertices, 3), with ``gradients``: xx, yy and zz of the symmetric stretch there.
+    stretches: Floats | None
+    #: (render vertices, 3), with ``gradients``: yz, zx and xy of the symmetric stretch there.
+    shears: Floats | None
     #: With ``changed_only``: the render vertices that this frame brought, ascending. The arrays are whole all the same.
     changed: npt.NDArray[np.uint32] | None
     #: No better frame for this pose will follow.
@@ -56,6 +71,27 @@ class Frame:
     quality: pb.Quality | None
     #: The rotations found for handles that turn freely, by id, as axis times angle; in final frames.
     found_turns: Mapping[str, tuple[float, float, float]]
+
+    def gradients(self) -> Floats:
+        """The gradient of the motion around each vertex, (render vertices, 3, 3): a covariance ``C`` of a splat becomes ``G C G^T``.
+
+        Raises ``ValueError`` where the frame was not asked for ``gradients``.
+        """
+        if self.rotations is None or self.stretches is None or self.shears is None:
+            raise ValueError("the frame carries no gradients; ask for gradients=True")
+        x, y, z, w = self.rotations.T
+        turns = np.stack(
+            [
+                1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w),
+                2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
+                2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y),
+            ],
+            axis=-1,
+        ).reshape(-1, 3, 3)  # fmt: skip
+        (xx, yy, zz), (yz, zx, xy) = self.stretches.T, self.shears.T
+        stretches = np.stack([xx, xy, zx, xy, yy, yz, zx, yz, zz], axis=-1).reshape(-1, 3, 3)
+        gradients: Floats = turns @ stretches
+        return gradients
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,6 +237,9 @@ class Assembler:
             positions=in_model_space(positions, last.origin),
             normals=buffer(pb.Frame.NORMAL),
             tangents=buffer(pb.Frame.TANGENT),
+            rotations=buffer(pb.Frame.ROTATION),
+            stretches=buffer(pb.Frame.STRETCH),
+            shears=buffer(pb.Frame.SHEAR),
             changed=changed,
             final=last.final,
             residual=last.residual,
@@ -260,7 +299,8 @@ def _scaled(part: pb.Frame, steps: npt.NDArray[np.uint16], width: int) -> npt.ND
             raise Internal(f"frame {part.seq} does not say which box its steps lie in")
         low, high = np.array(part.box_min), np.array(part.box_max)
     else:
-        low, high = np.full(width, -1.0), np.full(width, 1.0)
+        high = np.full(width, 4.0 if part.attribute in _STRETCHES else 1.0)
+        low = -high
     scaled: npt.NDArray[Any] = low + steps * ((high - low) / 65535)
     return scaled
 

@@ -46,12 +46,15 @@ class SolveFields(TypedDict, total=False):
     encoding: Literal["f32", "u16", "meshopt", "delta"]
     #: Count self-intersections in the quality of a committed pose.
     self_intersections: bool
+    #: Frames also carry the gradient of the motion around each vertex: what turns and stretches Gaussian splats and other passengers
+    #: with an extent. Not with ``changed_only``.
+    gradients: bool
     #: Unacknowledged frames in flight. Only on a stream.
     window: int
 
 
 _PLAIN = ("tolerance", "max_error", "budget_ms", "progressive", "refine", "rotation_smoothing", "window")
-_OUTPUT = ("normals", "tangents", "changed_only", "self_intersections")
+_OUTPUT = ("normals", "tangents", "changed_only", "self_intersections", "gradients")
 
 
 def options(fields: SolveFields) -> pb.Options:

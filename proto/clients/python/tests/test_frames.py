@@ -239,3 +239,26 @@ def test_differences_without_what_they_are_told_from_are_refused(fields: dict[st
     assembler.restart()
     with pytest.raises(Internal, match="not here"):
         assembler.take(told(code, 257, encoding=pb.Frame.DELTA, number=2))
+
+
+def test_gradients_are_rotation_times_stretch() -> None:
+    points = np.zeros((2, 3), np.float32)
+    half = np.sqrt(0.5)
+    quarter = np.array([[0, 0, half, half], [0, 0, 0, 1]], np.float32)  # a quarter turn about z, and none
+    stretches = np.array([[2, 1, 1], [1, 1, 3]], np.float32)
+    shears = np.array([[0, 0, 0], [0, 0, 0.5]], np.float32)
+    frame = whole(
+        [
+            part(0, 4, points),
+            part(1, 4, quarter, attribute=pb.Frame.ROTATION),
+            part(2, 4, stretches, attribute=pb.Frame.STRETCH),
+            part(3, 4, shears, attribute=pb.Frame.SHEAR),
+        ],
+        2,
+        changed_only=False,
+    )
+    first, second = frame.gradients()
+    assert np.allclose(first, [[0, -1, 0], [2, 0, 0], [0, 0, 1]], atol=1e-6)
+    assert np.allclose(second, [[1, 0.5, 0], [0.5, 1, 0], [0, 0, 3]], atol=1e-6)
+    with pytest.raises(ValueError, match="gradients=True"):
+        whole([part(0, 1, points)], 2, changed_only=False).gradients()

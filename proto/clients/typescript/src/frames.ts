@@ -102,6 +102,22 @@ export class Frame implements FrameFacts {
     this.write(Attribute.TANGENT, 4, target);
   }
 
+  /** Whether it carries the gradients of the motion. */
+  get hasGradients(): boolean {
+    return this.parts.some((part) => part.attribute === Attribute.ROTATION);
+  }
+
+  /**
+   * Writes the gradient of the motion around each vertex: into `rotations` unit quaternions x, y, z, w, into `stretches` xx, yy and
+   * zz and into `shears` yz, zx and xy of a symmetric matrix. Splats turn and stretch by the rotation times that matrix, their
+   * spherical harmonics turn by the rotation.
+   */
+  gradientsInto(rotations: Float32Array, stretches: Float32Array, shears: Float32Array): void {
+    this.write(Attribute.ROTATION, 4, rotations);
+    this.write(Attribute.STRETCH, 3, stretches);
+    this.write(Attribute.SHEAR, 3, shears);
+  }
+
   private write(attribute: Attribute, size: 3 | 4, target: Float32Array): void {
     for (const part of this.parts) {
       if (part.attribute === attribute) {
@@ -158,7 +174,7 @@ const VERTICES_A_BYTE = 128;
  * its vertices, and facts that are missing.
  */
 function checkPart({ attribute, encoding, data, vertexCount, indices, boxMin, boxMax, number }: Part): void {
-  if (attribute !== Attribute.POSITION && attribute !== Attribute.NORMAL && attribute !== Attribute.TANGENT) {
+  if (Attribute[attribute] === undefined) {
     throw new RangeError(`the frame carries something (number ${attribute}) that this client does not know`);
   }
   if (indices.length > 0 && indices.length !== vertexCount) {
@@ -186,7 +202,7 @@ function checkPart({ attribute, encoding, data, vertexCount, indices, boxMin, bo
 
 /** Numbers of a vertex. */
 function widthOf(attribute: Attribute): 3 | 4 {
-  return attribute === Attribute.TANGENT ? 4 : 3;
+  return attribute === Attribute.TANGENT || attribute === Attribute.ROTATION ? 4 : 3;
 }
 
 function unpackFloats(data: Uint8Array, indices: readonly number[], first: number, size: 3 | 4, target: Float32Array): void {
@@ -221,11 +237,13 @@ function unpackSteps(
   }
 }
 
-/** What 0 stands for, and what one step is worth. Normals and tangents lie between -1 and 1. */
+/** What 0 stands for, and what one step is worth. Normals, tangents and rotations lie between -1 and 1, stretches between -4 and 4. */
 function scale(part: Part, size: 3 | 4): { low: number[]; step: number[] } {
-  const directions = part.attribute !== Attribute.POSITION;
-  const low = directions ? [-1, -1, -1, -1] : part.boxMin;
-  const high = directions ? [1, 1, 1, 1] : part.boxMax;
+  const { attribute } = part;
+  const range = attribute === Attribute.STRETCH || attribute === Attribute.SHEAR ? 4 : 1;
+  const directions = attribute !== Attribute.POSITION;
+  const low = directions ? [-range, -range, -range, -range] : part.boxMin;
+  const high = directions ? [range, range, range, range] : part.boxMax;
   return { low, step: Array.from({ length: size }, (_, k) => ((high[k] ?? 0) - (low[k] ?? 0)) / 65535) };
 }
 

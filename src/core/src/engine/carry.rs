@@ -7,7 +7,7 @@ use super::riding_file::RidingFile;
 use super::settings::{CarriedModel, HeldBeside};
 use crate::asset::WrittenFiles;
 use crate::exec::Exec;
-use crate::mesh::carry::{CarriedFrame, SurfaceCarrier};
+use crate::mesh::carry::{CarriedFrame, LocalGradients, SurfaceCarrier};
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -27,6 +27,19 @@ impl Deformer {
             &self.mesh().welded(positions),
             exec.pool,
         ))
+    }
+
+    /// How space around each render vertex has turned and stretched in a shape of this model.
+    ///
+    /// # Errors
+    /// [`Error::Internal`] for a shape of another model, and where what rides along cannot be bound, as in [`Deformer::solve`].
+    pub fn gradients(&self, positions: &[DVec3], exec: &Exec<'_>) -> Result<LocalGradients, Error> {
+        if positions.len() != self.rest().len() {
+            return Err(Error::Internal("the shape of another model".into()));
+        }
+        let frames = self.derived.pack_riders(&self.room_limits(), exec)?;
+        let current = self.mesh().welded(positions);
+        Ok(frames.place(&current, None, positions.len(), exec.pool))
     }
 
     /// Carries points of the rest space along with a shape of this model, in order.

@@ -195,6 +195,7 @@ impl Deformer {
             positions: Arc::clone(self.rest()),
             stats: PoseStats::default(),
             turns: Arc::default(),
+            gradients: None,
         }
     }
 

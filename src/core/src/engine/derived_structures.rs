@@ -5,6 +5,7 @@ use super::facts::{BYTES_PER_NODE, DeformerWarning, TieFacts, WarningPlace, inte
 use super::model_topology::ModelTopology;
 use super::part_families::PartFamilies;
 use super::riding::{RidingModel, RidingVertices};
+use super::riding_frames::{PackedRiders, RidingFrames};
 use super::settings::{DeformerLimits, ESTIMATED_MEMORY, OpenOptions};
 use super::shape::TopologyId;
 use super::topology_state::{LineageOrigin, MeshDelta, TopologyLineage, TopologyState};
@@ -39,6 +40,8 @@ pub(super) struct DerivedStructures {
     carry: OnceLock<Arc<CarrySurface>>,
     /// The vertices that ride along, once a shape was solved, or why they cannot.
     riders: OnceLock<Result<RidingVertices, Error>>,
+    /// The same packed for frames, once gradients were asked for.
+    packed: OnceLock<PackedRiders>,
     ties: OnceLock<TieFacts>,
     /// What is around the surface's vertices, once faces of an animation turned over.
     pub surroundings: OnceLock<FaceSurroundings>,
@@ -192,6 +195,7 @@ impl DerivedStructures {
             report: OnceLock::new(),
             carry: OnceLock::new(),
             riders: OnceLock::new(),
+            packed: OnceLock::new(),
             ties: OnceLock::new(),
             surroundings: OnceLock::new(),
         }
@@ -231,6 +235,30 @@ impl DerivedStructures {
             // Another thread may have found the same meanwhile.
             found => answer(self.riders.get_or_init(|| found)),
         }
+    }
+
+    /// Packs what rides along for frames, where that is not done yet.
+    ///
+    /// # Errors
+    /// Those of [`DerivedStructures::bind_riders`].
+    pub fn pack_riders(&self, limits: &DeformerLimits, exec: &Exec<'_>) -> Result<RidingFrames<'_>, Error> {
+        self.bind_riders(limits, exec)?;
+        let surface = self.carry_surface(exec.pool);
+        let riders = self.riding_vertices().map(|(_, riders)| riders);
+        if self.packed.get().is_none() {
+            admit_bytes(
+                self.byte_size() + PackedRiders::estimate(&self.mesh, riders),
+                limits,
+                exec,
+            )?;
+            exec.check()?;
+        }
+        let pack = || PackedRiders::pack(surface, &self.mesh, riders, exec.pool);
+        Ok(RidingFrames {
+            surface,
+            packed: self.packed.get_or_init(pack),
+            riders,
+        })
     }
 
     /// The model of which vertices ride along.
@@ -305,6 +333,7 @@ impl DerivedStructures {
                 .riders
                 .get()
                 .map_or(0, |r| r.as_ref().map_or(0, RidingVertices::byte_size))
+            + self.packed.get().map_or(0, PackedRiders::byte_size)
             + self.surroundings.get().map_or(0, FaceSurroundings::byte_size);
         model + past + parts as u64
     }

@@ -52,6 +52,7 @@ mod resolved_handles;
 mod riding;
 mod riding_edits;
 mod riding_file;
+mod riding_frames;
 mod seams;
 mod settings;
 mod shape;

@@ -5,7 +5,7 @@ use crate::engine::error::Error;
 use crate::engine::facts::DeformerWarning;
 use crate::engine::settings::{Passenger, PassengerKind};
 use crate::exec::Exec;
-use crate::mesh::carry::{CarriedFrame, CarriedPoints, CarrySurface, SurfaceCarrier, SurfaceMotion};
+use crate::mesh::carry::{CarriedFrame, CarriedPoints, CarrySurface, PackedPoints, SurfaceCarrier, SurfaceMotion};
 use crate::mesh::rotation::fit_rotation;
 use crate::mesh::{Mesh, NONE};
 use crate::pool::Pool;
@@ -227,6 +227,16 @@ impl RidingVertices {
         for &(vertex, like) in &self.on_vertices {
             positions[vertex as usize] = positions[like as usize];
         }
+    }
+
+    /// Those with what they follow, packed for frames.
+    pub fn packed(&self, surface: &CarrySurface, pool: &Pool) -> PackedPoints {
+        PackedPoints::pack(&self.points, &self.vertices, surface, pool)
+    }
+
+    /// Vertices that lie where a vertex of the surface is, each with that one.
+    pub fn on_vertices(&self) -> &[(u32, u32)] {
+        &self.on_vertices
     }
 
     /// The points of `count` vertices from 0 on, where all of those ride along, each bound, and no others do.

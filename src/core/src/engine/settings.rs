@@ -102,6 +102,9 @@ pub struct SolveSettings {
     pub fits: FitOrder,
     /// What a commit does with its fits.
     pub recipe: Recipe,
+    /// Whether a drag also answers how space around render vertices has turned and stretched. What rides along then goes where it
+    /// goes in single precision, and faster. A commit has no use for it.
+    pub gradients: bool,
 }
 
 /// What a commit does with fitted rotations, as it grew: each does what those before it did. A record names the one that its
@@ -129,6 +132,7 @@ impl Default for SolveSettings {
             method: Method::default(),
             fits: FitOrder::default(),
             recipe: Recipe::default(),
+            gradients: false,
         }
     }
 }
@@ -162,6 +166,7 @@ pub(super) const EDITED_AT_REST: SolveSettings = SolveSettings {
     method: Method::Harmonic,
     fits: FitOrder::GraphAlone,
     recipe: Recipe::AsTheyCome,
+    gradients: false,
 };
 
 /// How a solve treats what was solved before.

@@ -2,6 +2,7 @@
 
 use crate::asset::{Geometry, Primitive};
 use crate::deform::PoseStats;
+use crate::mesh::carry::LocalGradients;
 use crate::mesh::shading;
 use glam::{DVec3, Vec3, Vec4};
 use std::sync::Arc;
@@ -37,6 +38,8 @@ pub struct ModelShape {
     pub stats: PoseStats,
     /// The rotations that were found for handles that turn freely.
     pub turns: Arc<[FoundTurn]>,
+    /// How space around the render vertices has turned and stretched, of a drag that was asked for it.
+    pub gradients: Option<Arc<LocalGradients>>,
 }
 
 /// The rotation that a solve has found for a handle with [`HandlePose::free_rotation`](super::HandlePose::free_rotation).
@@ -56,6 +59,7 @@ impl ModelShape {
             positions,
             stats: PoseStats::default(),
             turns: Arc::default(),
+            gradients: None,
         }
     }
 }

@@ -10,15 +10,17 @@ use crate::deform::{
 use crate::engine::Deformer;
 use crate::engine::buckles::BuckleWatch;
 use crate::engine::deformer::CommittedShape;
+use crate::engine::derived_structures::DerivedStructures;
 use crate::engine::edit_command::{Edit, EditCommand, EditOutcome, EditedShape};
 use crate::engine::error::Error;
 use crate::engine::handle::{HandlePose, HandlePoses};
 use crate::engine::resolved_handles::check_free_rotation;
 use crate::engine::riding::RidingVertices;
-use crate::engine::settings::{COMMIT_REFINE, Recipe, SolveMode, SolveSettings};
+use crate::engine::riding_frames::RidingFrames;
+use crate::engine::settings::{COMMIT_REFINE, DeformerLimits, Recipe, SolveMode, SolveSettings};
 use crate::engine::shape::{ModelShape, ShapeId};
 use crate::exec::Exec;
-use crate::mesh::carry::CarrySurface;
+use crate::mesh::carry::{CarrySurface, LocalGradients};
 use crate::mesh::{Mesh, NONE};
 use crate::pool::Pool;
 use crate::reference::{Method, diffuse, linear_frames};
@@ -120,7 +122,7 @@ impl Deformer {
         let mut transforms = self.transforms(poses)?;
         self.check_method(settings)?;
         let free = self.handles.turning_freely(&poses.0);
-        self.derived.bind_riders(&self.room_limits(), exec)?;
+        let limits = self.room_limits();
         let Self {
             handle_system: Some(handle_system),
             state,
@@ -134,6 +136,7 @@ impl Deformer {
         else {
             return Err(Error::Internal("handles without a system".into()));
         };
+        let frames = frames_of(derived, settings.gradients && mode != SolveMode::Commit, &limits, exec)?;
         let body = &derived.body;
         let rest = &derived.topology().rest;
         let targets = handles.hold_targets(&poses.0, &handle_system.setup().handles, body, rest, exec);
@@ -151,11 +154,12 @@ impl Deformer {
             rest: &derived.topology().rest,
             unreferenced: &handles.unreferenced,
             riders: derived.riding_vertices(),
+            frames,
             pool: exec.pool,
         };
         let mut on_cycle = |now: &SolveUpdate<'_>| {
             watch(&SolveUpdate {
-                positions: &|| shape.render(&(now.positions)(), &[], &transforms),
+                positions: &|| shape.render(&(now.positions)(), &[], &transforms).0,
                 ..*now
             })
         };
@@ -188,25 +192,23 @@ impl Deformer {
             }
         }
         exec.progress.begin_pass("render");
-        let positions = Arc::new(shape.render(&solved.positions, &solved.frames, &transforms));
-        let turns = handles.found_turns(&free, &transforms);
+        let (positions, gradients) = shape.render(&solved.positions, &solved.frames, &transforms);
         *solutions += 1;
         let id = ShapeId::solution(derived.lineage.id, *solutions);
         match mode {
             SolveMode::Drag | SolveMode::Anew => state.recycle(solved.positions, solved.frames),
             SolveMode::Commit => {
                 state.release_start();
-                *committed = Some(CommittedShape {
-                    id,
-                    nodes: Arc::new(solved.positions),
-                });
+                let nodes = Arc::new(solved.positions);
+                *committed = Some(CommittedShape { id, nodes });
             }
         }
         Ok(ModelShape {
             id,
-            positions,
+            positions: Arc::new(positions),
             stats: solved.stats,
-            turns,
+            turns: handles.found_turns(&free, &transforms),
+            gradients: gradients.map(Arc::new),
         })
     }
 }
@@ -338,6 +340,17 @@ impl Deformer {
     }
 }
 
+/// Binds what rides along, and packs it where frames have `gradients`.
+fn frames_of<'d>(
+    derived: &'d DerivedStructures,
+    gradients: bool,
+    limits: &DeformerLimits,
+    exec: &Exec<'_>,
+) -> Result<Option<RidingFrames<'d>>, Error> {
+    derived.bind_riders(limits, exec)?;
+    gradients.then(|| derived.pack_riders(limits, exec)).transpose()
+}
+
 /// Vertices that one piece of work handles at least.
 const PIECE: usize = 4096;
 
@@ -349,12 +362,20 @@ pub(super) struct ShapeTransfer<'a> {
     /// Render vertices in no face that a hard handle holds, with its hold.
     pub unreferenced: &'a [(u32, u32)],
     pub riders: Option<(&'a CarrySurface, &'a RidingVertices)>,
+    /// The same packed, of frames with gradients.
+    pub frames: Option<RidingFrames<'a>>,
     pub pool: &'a Pool,
 }
 
 impl ShapeTransfer<'_> {
-    /// One position per render vertex for those of the nodes, their frames and the handles' transforms.
-    pub fn render(&self, nodes: &[DVec3], frames: &[[f32; 9]], transforms: &[Transform]) -> Vec<DVec3> {
+    /// One position per render vertex for those of the nodes, their frames and the handles' transforms, and the gradients of the motion
+    /// there, where they are wanted.
+    pub fn render(
+        &self,
+        nodes: &[DVec3],
+        frames: &[[f32; 9]],
+        transforms: &[Transform],
+    ) -> (Vec<DVec3>, Option<LocalGradients>) {
         let at_rest = &self.body.graph.positions;
         let place = |(&rest, &solver): (&DVec3, &u32)| {
             let s = solver as usize;
@@ -380,11 +401,16 @@ impl ShapeTransfer<'_> {
                 positions[vertex as usize] = t.map()(positions[vertex as usize]);
             }
         }
+        // As elsewhere: what has not moved keeps the bits of the rest shape.
+        let current = &nodes[..self.mesh.positions.len()];
+        if let Some(frames) = &self.frames {
+            let count = positions.len();
+            let gradients = frames.place(current, Some(&mut positions), count, self.pool);
+            return (positions, Some(gradients));
+        }
         if let Some((surface, riders)) = self.riders {
-            // As elsewhere: what has not moved keeps the bits of the rest shape.
-            let current = &nodes[..self.mesh.positions.len()];
             riders.place(surface, current, &mut positions, self.pool);
         }
-        positions
+        (positions, None)
     }
 }

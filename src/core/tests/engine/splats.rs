@@ -4,8 +4,8 @@ use glam::{DMat3, DQuat, DVec3};
 use pliant_core::asset::{FileSet, Following, Format, LargeSplatRule, Limits, Splats, shapes};
 use pliant_core::edit::KeptSide;
 use pliant_core::engine::{
-    CarriedModel, CutLine, Deformer, DeformerLimits, Edit, EditCommand, EditedShape, Handle, HandlePose, OpenOptions,
-    Plane, Region, SolveSettings,
+    CarriedModel, CutLine, Deformer, DeformerLimits, Edit, EditCommand, EditedShape, Handle, HandlePose, ModelShape,
+    OpenOptions, Plane, Region, SolveSettings,
 };
 use pliant_core::exec::Exec;
 use pliant_core::mesh::carry::{CarriedFrame, CarriedSpace, SurfaceCarrier};
@@ -577,4 +577,95 @@ fn splats_of_a_gltf_turn_with_a_rigid_move_as_the_formula_says() {
             }
         }
     }
+}
+
+/// A drag with gradients of a model of splats: its shape, and the shape of the same pose without them.
+fn dragged(turn: [f64; 3], moves_all: bool, threads: usize) -> (Deformer, ModelShape, ModelShape) {
+    let pool = Pool::new(threads).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let (_, splats, _) = bar();
+    let drag = |gradients: bool| {
+        let mut deformer = own_model(&splats, &exec);
+        let high = if moves_all { -9.0 } else { 3.5 };
+        let mut handles = vec![Handle::new("high", Region::half_space([0.0, 1.0, 0.0], high))];
+        if !moves_all {
+            handles.push(Handle::new("low", Region::half_space([0.0, -1.0, 0.0], -0.5)));
+        }
+        deformer.set_handles(handles, &exec).expect("handles");
+        let turned = HandlePose::rotation(turn).about([0.0, 2.0, 0.0]);
+        let settings = SolveSettings {
+            gradients,
+            ..SolveSettings::default()
+        };
+        let shape = deformer
+            .drag(&settings)
+            .solve([("high", turned)], &exec)
+            .expect("solved");
+        (deformer, shape)
+    };
+    let (_, plain) = drag(false);
+    assert!(plain.gradients.is_none());
+    let (deformer, shape) = drag(true);
+    (deformer, shape, plain)
+}
+
+#[test]
+fn gradients_of_a_rigid_drag_turn_splats_as_the_formula_says() {
+    let turn = [0.4, 1.1, -0.7];
+    let (deformer, shape, plain) = dragged(turn, true, 2);
+    let gradients = shape.gradients.as_deref().expect("asked for");
+    let whole = exp_rotation(DVec3::from_array(turn));
+    let about = DVec3::new(0.0, 2.0, 0.0);
+    assert_eq!(gradients.rotations.len(), shape.len());
+    for (v, rest) in deformer.rest().iter().enumerate() {
+        let place = about + whole * (*rest - about);
+        assert!(shape[v].distance(place) < 1e-5 * deformer.diagonal(), "vertex {v}");
+        assert!(shape[v].distance(plain[v]) < 1e-5 * deformer.diagonal(), "vertex {v}");
+        // Harmonics turn by it too: a direction is where the formula has it.
+        let own = DQuat::from_vec4(gradients.rotations[v].as_dvec4());
+        for axis in DVec3::AXES {
+            assert!((own * axis).distance(whole * axis) < 1e-5, "vertex {v}");
+        }
+        assert!((gradients.stretches[v] - glam::Vec3::ONE).length() < 1e-5, "vertex {v}");
+        assert!(gradients.shears[v].length() < 1e-5, "vertex {v}");
+    }
+}
+
+#[test]
+fn gradients_of_a_bent_drag_are_those_of_the_exact_field_on_any_number_of_threads() {
+    let turn = [0.0, 0.0, 1.2];
+    let (deformer, shape, plain) = dragged(turn, false, 1);
+    let gradients = shape.gradients.as_deref().expect("asked for");
+    let (_, again, _) = dragged(turn, false, 3);
+    assert_eq!(Some(gradients), again.gradients.as_deref());
+    assert_eq!(shape.positions, again.positions);
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let carrier = deformer.carrier(&plain.positions, &exec).expect("a carrier");
+    let splats = deformer.geometry().primitives[0].vertex_count as usize;
+    let stretch = carrier.stretch(&pool);
+    let spaces = carrier
+        .carry_spaces(&stretch, &deformer.rest()[..splats], &exec)
+        .expect("carried");
+    let mut stretched = 0.0f64;
+    for (v, space) in spaces.iter().enumerate() {
+        let off = shape[v].distance(space.frame.position);
+        assert!(off < 1e-3 * deformer.diagonal(), "splat {v} is off by {off}");
+        let [rotation, d, s] = [
+            gradients.rotations[v].as_dvec4(),
+            gradients.stretches[v].as_dvec3().extend(0.0),
+            gradients.shears[v].as_dvec3().extend(0.0),
+        ];
+        let symmetric = DMat3::from_cols_array(&[d.x, s.z, s.y, s.z, d.y, s.x, s.y, s.x, d.z]);
+        let gradient = DMat3::from_quat(DQuat::from_vec4(rotation)) * symmetric;
+        let difference = gradient - space.gradient;
+        let worst = [difference.x_axis, difference.y_axis, difference.z_axis].map(DVec3::length);
+        assert!(worst.iter().all(|length| *length < 0.03), "splat {v}: {worst:?}");
+        stretched = stretched.max((d.truncate() - DVec3::ONE).length());
+    }
+    assert!(stretched > 0.05, "the bar bends: {stretched}");
+    // The vertices that are solved have the same places with and without gradients.
+    assert_eq!(shape[splats..], plain[splats..]);
+    let asked = deformer.gradients(&shape.positions, &exec).expect("gradients");
+    assert_eq!(&asked, gradients, "they are a function of the shape");
 }

@@ -92,6 +92,13 @@ impl CarriedPoints {
         self.points.len()
     }
 
+    /// A point, and the samples that it follows with their weights.
+    pub(super) fn followed(&self, point: usize) -> (DVec3, impl Iterator<Item = (u32, f64)>) {
+        let followed = self.first[point]..self.first[point + 1];
+        let weights = self.weights[followed.clone()].iter().copied();
+        (self.points[point], self.samples[followed].iter().copied().zip(weights))
+    }
+
     /// Whether there are no points.
     pub fn is_empty(&self) -> bool {
         self.points.is_empty()

@@ -12,13 +12,15 @@
 //!
 //! [`CarrySurface`] is the rest surface as a tree of clusters, [`SurfaceMotion`] how every sample of it has moved, turned and
 //! grown in a deformed shape. [`CarriedPoints`] are points with their neighbourhoods, for many shapes; [`SurfaceCarrier`] is
-//! for one.
+//! for one. [`PackedPoints`] are for frames.
 
 mod carried_points;
 mod motion;
+mod packed_points;
 mod stretch;
 
 pub use carried_points::{CarriedPoints, SurfaceCarrier};
 pub use motion::CarrySurface;
 pub use motion::{CarriedFrame, SurfaceMotion};
+pub use packed_points::{LocalGradients, PackedMotion, PackedPoints};
 pub use stretch::{CarriedSpace, SurfaceStretch};

@@ -75,6 +75,17 @@ impl SurfaceMotion {
         self.samples[vertex].displacement
     }
 
+    /// The displacement of a sample, its rotation and the logarithm of its scale.
+    pub(super) fn of_sample(&self, sample: usize) -> (DVec3, DQuat, f64) {
+        let own = &self.samples[sample];
+        (own.displacement, turning_part(own.rotation, self.whole), own.log_scale)
+    }
+
+    /// The rotation that fits the whole surface best.
+    pub(super) fn whole(&self) -> DQuat {
+        self.whole
+    }
+
     /// How much the rotations of `samples` agree, 0 to 1: the size of their mean.
     pub(super) fn agreement(&self, samples: impl Iterator<Item = (u32, f64)>) -> f64 {
         let mut mean = DMat3::ZERO;
@@ -390,6 +401,11 @@ impl CarrySurface {
             + size_of_val(self.order.as_slice())
             + size_of_val(self.weights.as_slice())
             + size_of_val(self.nodes.as_slice())
+    }
+
+    /// Where the vertices are in the rest pose.
+    pub(super) fn rest_places(&self) -> &[DVec3] {
+        &self.rest
     }
 
     /// The rest place of a sample.

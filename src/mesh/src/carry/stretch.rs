@@ -102,6 +102,12 @@ impl SurfaceStretch {
         Self { samples }
     }
 
+    /// The sums of the fit of a sample: the second one does not depend on the shape.
+    pub(super) fn sums(&self, sample: usize) -> (DMat3, DMat3) {
+        let SampleStretch { moved, rest } = self.samples[sample];
+        (moved, rest)
+    }
+
     /// The gradient at `point`, which follows `samples` and has been carried to `frame`.
     pub(super) fn around<I: Iterator<Item = (u32, f64)>>(
         &self,

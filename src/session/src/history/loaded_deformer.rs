@@ -13,8 +13,9 @@ use pliant_core::engine::{
     Deformer, ESTIMATED_MEMORY, EditCommand, Error, HandlePoses, HandleSet, ModelShape, Shader, Shading, SolveMode,
     SolveSettings, SolveUpdate, TopologyState, digest,
 };
+use pliant_core::mesh::carry::LocalGradients;
 use pliant_exec::Exec;
-use pliant_wire::frames::Frame;
+use pliant_wire::frames::{Frame, FrameOutput};
 use pliant_wire::{
     DeformOptions, SessionEdit, add_found_turns, edit_result, found_turns_message, pb, quality_message,
     session_message, warning_message,
@@ -243,6 +244,7 @@ impl LoadedDeformer {
         let solve_time = work.watch.elapsed();
         let mut frame = self.last_frame(seq, options, frames, &solved);
         let mut warnings = Vec::new();
+        frame.gradients = self.gradients(&solved.positions, options.output, exec)?;
         if let Some(deformer) = self.engine.deformer() {
             let quality = deformer.measure(&solved.positions, options.output.self_intersections, exec)?;
             frame.header.quality = Some(quality_message(&quality));
@@ -273,11 +275,28 @@ impl LoadedDeformer {
     ) -> Frame {
         let shading = self.shade(&solved.positions, options);
         let mut frame = frames.frame(seq, options.output, Arc::clone(&solved.positions), shading);
+        frame.gradients = solved.gradients.clone();
         frame.header.r#final = true;
         frame.header.residual = solved.stats.residual;
         frame.header.max_error = solved.stats.max_error;
         frame.header.found_turns = found_turns_message(&solved.turns);
         frame
+    }
+
+    /// Makes the gradients of a shape, where `output` asks for them.
+    ///
+    /// # Errors
+    /// Those of [`Deformer::gradients`](pliant_core::engine::Deformer::gradients).
+    pub fn gradients(
+        &mut self,
+        positions: &[DVec3],
+        output: FrameOutput,
+        exec: &Exec<'_>,
+    ) -> Result<Option<Arc<LocalGradients>>, Error> {
+        match self.engine.deformer() {
+            Some(deformer) if output.gradients => Ok(Some(Arc::new(deformer.gradients(positions, exec)?))),
+            _ => Ok(None),
+        }
     }
 
     /// Makes the normals and tangents that `settings` ask for; `None` when they ask for neither.

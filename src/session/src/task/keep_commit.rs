@@ -328,6 +328,7 @@ impl SessionTask {
         let (made, watch) = self
             .compute(order(), move |deformer, work| {
                 deformer.go_to_topology(topology.as_ref(), &work.exec())?;
+                let gradients = deformer.gradients(&shape.positions, output, &work.exec())?;
                 let is_shaded = output.normals || output.tangents;
                 let shading = is_shaded.then(|| Arc::new(deformer.shader().shade(&shape.positions)));
                 let frame = Frame {
@@ -337,6 +338,7 @@ impl SessionTask {
                     origin,
                     positions: shape.positions,
                     shading,
+                    gradients,
                     output,
                     part_bytes,
                     ..Frame::default()

@@ -1,6 +1,6 @@
 //! Vertex buffers as frames: attributes, encodings, changed vertices and parts.
 //!
-//! Owns how positions, normals and tangents become the bytes of [`pb::Frame`] messages. A frame's parts are made one at a
+//! Owns how positions, normals, tangents and gradients become the bytes of [`pb::Frame`] messages. A frame's parts are made one at a
 //! time, when they are asked for, so that a slow reader costs no memory; where a part goes out as it is made, its numbers are
 //! written straight into the bytes that are sent ([`OutgoingResponse`]). Knows no stream and no session: who may get
 //! a frame, and when, is not decided here.
@@ -22,6 +22,7 @@ use super::pb;
 use bytes::Bytes;
 use glam::DVec3;
 use pliant_core::engine::{Shading, TopologyId};
+use pliant_core::mesh::carry::LocalGradients;
 use pliant_motion::rig::RigidMotion;
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -58,12 +59,44 @@ pub struct Frame {
     pub origin: DVec3,
     /// Needed when `output` asks for normals or tangents; without it they are left out.
     pub shading: Option<Arc<Shading>>,
+    /// Needed when `output` asks for gradients; without it they are left out.
+    pub gradients: Option<Arc<LocalGradients>>,
     /// What to send and how.
     pub output: FrameOutput,
     /// The vertices to send, ascending; `None` is all of them.
     pub selected: Option<Vec<u32>>,
     /// Bytes that the data (and indices) of a part may take.
     pub part_bytes: usize,
+}
+
+/// The attributes of frames.
+const ATTRIBUTES: [pb::frame::Attribute; 6] = [
+    pb::frame::Attribute::Position,
+    pb::frame::Attribute::Normal,
+    pb::frame::Attribute::Tangent,
+    pb::frame::Attribute::Rotation,
+    pb::frame::Attribute::Stretch,
+    pb::frame::Attribute::Shear,
+];
+
+/// Stretches and shears that are sent as steps lie between this and its negative.
+const MOST_STRETCH: f64 = 4.0;
+
+/// Numbers of a vertex.
+const fn width_of(attribute: pb::frame::Attribute) -> usize {
+    match attribute {
+        pb::frame::Attribute::Tangent | pb::frame::Attribute::Rotation => 4,
+        _ => 3,
+    }
+}
+
+/// What the last step of an attribute stands for, and its negative the first; of positions that is the box of a frame.
+fn range_of(attribute: pb::frame::Attribute) -> Option<f64> {
+    match attribute {
+        pb::frame::Attribute::Position => None,
+        pb::frame::Attribute::Normal | pb::frame::Attribute::Tangent | pb::frame::Attribute::Rotation => Some(1.0),
+        pb::frame::Attribute::Stretch | pb::frame::Attribute::Shear => Some(MOST_STRETCH),
+    }
 }
 
 /// Bytes of the steps of a vertex, of one attribute.
@@ -101,14 +134,17 @@ impl Frame {
         (self.positions.len() * attributes * KEPT_BYTES) as u64
     }
 
-    /// Whether it carries positions, normals and tangents.
-    fn carries(&self) -> [bool; 3] {
+    /// Which of [`ATTRIBUTES`] it carries.
+    fn carries(&self) -> [bool; ATTRIBUTES.len()] {
         let count = self.positions.len();
         let fits = |s: &Arc<Shading>| s.normals.len() == count && s.tangents.len() == count;
         // One empty part stands for an empty change.
         let is_empty = count == 0 || self.selected.as_ref().is_some_and(Vec::is_empty);
         let shades = self.shading.as_ref().is_some_and(fits) && !is_empty;
-        [true, shades && self.output.normals, shades && self.output.tangents]
+        let whole = |g: &Arc<LocalGradients>| [g.rotations.len(), g.stretches.len(), g.shears.len()] == [count; 3];
+        let turns = self.output.gradients && !is_empty && self.gradients.as_ref().is_some_and(whole);
+        let (normals, tangents) = (shades && self.output.normals, shades && self.output.tangents);
+        [true, normals, tangents, turns, turns, turns]
     }
 
     fn has_differences(&self) -> bool {
@@ -120,7 +156,8 @@ impl Frame {
     pub fn byte_size(&self) -> u64 {
         let shading = (self.shading.as_ref()).map_or(0, |s| s.normals.len() * 12 + s.tangents.len() * 16);
         let selected = self.selected.as_ref().map_or(0, |s| size_of_val(s.as_slice()));
-        (size_of_val(self.positions.as_slice()) + shading + selected) as u64
+        let gradients = self.gradients.as_ref().map_or(0, |gradients| gradients.byte_size());
+        (size_of_val(self.positions.as_slice()) + shading + gradients + selected) as u64
     }
 }
 

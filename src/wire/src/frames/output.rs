@@ -15,6 +15,8 @@ pub struct FrameOutput {
     pub encoding: FrameEncoding,
     /// Whether the triangles that cross are counted on commit.
     pub self_intersections: bool,
+    /// Whether they carry rotation, stretch and shear of the motion around vertices.
+    pub gradients: bool,
     /// The number of these options on their stream, from 1; 0 without a stream. No frame is a difference from one of
     /// other options.
     pub asked: u64,

@@ -6,7 +6,7 @@ use super::numbers::{
 use super::pb::deform_response::Message as Response;
 use super::pb::frame;
 use super::sent_steps::{FrameKind, FrameReference, SentSteps};
-use super::{Frame, pb, relative_to};
+use super::{ATTRIBUTES, Frame, pb, range_of, relative_to, width_of};
 use crate::facts::origin_numbers;
 use bytes::{Buf, BufMut};
 use glam::DVec3;
@@ -246,7 +246,7 @@ impl Message for OutgoingResponse {
 
 /// Bytes that a vertex takes, at most.
 pub(super) fn bytes_a_vertex(encoding: frame::Encoding, attribute: frame::Attribute) -> usize {
-    let numbers = if attribute == frame::Attribute::Tangent { 4 } else { 3 };
+    let numbers = width_of(attribute);
     match encoding {
         frame::Encoding::F32 => numbers * 4,
         frame::Encoding::U16 => numbers * 2,
@@ -257,22 +257,26 @@ pub(super) fn bytes_a_vertex(encoding: frame::Encoding, attribute: frame::Attrib
 
 /// What is done with vertices of whatever kind.
 trait VertexVisitor {
-    /// Takes them; numbers of directions lie between -1 and 1.
-    fn take<const N: usize, V: VertexNumbers<N>>(self, vertices: PickedVertices<'_, V>, are_directions: bool);
+    /// Takes them; `range` is how large their numbers are at most, where that does not depend on the frame.
+    fn take<const N: usize, V: VertexNumbers<N>>(self, vertices: PickedVertices<'_, V>, range: Option<f64>);
 }
 
 fn visit(attribute: frame::Attribute, run: &VertexRun, visitor: impl VertexVisitor) {
-    match (attribute, &run.frame.shading) {
-        (frame::Attribute::Normal, Some(s)) => visitor.take(run.pick(&s.normals), true),
-        (frame::Attribute::Tangent, Some(s)) => visitor.take(run.pick(&s.tangents), true),
-        _ => visitor.take(run.pick(&run.frame.positions), false),
+    let range = range_of(attribute);
+    match (attribute, &run.frame.shading, &run.frame.gradients) {
+        (frame::Attribute::Normal, Some(s), _) => visitor.take(run.pick(&s.normals), range),
+        (frame::Attribute::Tangent, Some(s), _) => visitor.take(run.pick(&s.tangents), range),
+        (frame::Attribute::Rotation, _, Some(g)) => visitor.take(run.pick(&g.rotations), range),
+        (frame::Attribute::Stretch, _, Some(g)) => visitor.take(run.pick(&g.stretches), range),
+        (frame::Attribute::Shear, _, Some(g)) => visitor.take(run.pick(&g.shears), range),
+        _ => visitor.take(run.pick(&run.frame.positions), None),
     }
 }
 
 struct PutFloats<'a, B>(&'a mut B);
 
 impl<B: BufMut> VertexVisitor for PutFloats<'_, B> {
-    fn take<const N: usize, V: VertexNumbers<N>>(self, vertices: PickedVertices<'_, V>, _: bool) {
+    fn take<const N: usize, V: VertexNumbers<N>>(self, vertices: PickedVertices<'_, V>, _: Option<f64>) {
         put_floats(vertices, self.0);
     }
 }
@@ -283,8 +287,8 @@ struct PutSteps<'a, B> {
 }
 
 impl<B: BufMut> VertexVisitor for PutSteps<'_, B> {
-    fn take<const N: usize, V: VertexNumbers<N>>(self, vertices: PickedVertices<'_, V>, are_directions: bool) {
-        put_steps(vertices, &steps_of(self.corners, are_directions), self.out);
+    fn take<const N: usize, V: VertexNumbers<N>>(self, vertices: PickedVertices<'_, V>, range: Option<f64>) {
+        put_steps(vertices, &steps_of(self.corners, range), self.out);
     }
 }
 
@@ -294,14 +298,14 @@ struct PadSteps<'a> {
 }
 
 impl VertexVisitor for PadSteps<'_> {
-    fn take<const N: usize, V: VertexNumbers<N>>(self, vertices: PickedVertices<'_, V>, are_directions: bool) {
-        push_padded_steps(vertices, &steps_of(self.corners, are_directions), self.out);
+    fn take<const N: usize, V: VertexNumbers<N>>(self, vertices: PickedVertices<'_, V>, range: Option<f64>) {
+        push_padded_steps(vertices, &steps_of(self.corners, range), self.out);
     }
 }
 
-fn steps_of<const N: usize>([low, high]: [DVec3; 2], are_directions: bool) -> Steps<N> {
-    if are_directions {
-        return Steps::between([-1.0; N], [1.0; N]);
+fn steps_of<const N: usize>([low, high]: [DVec3; 2], range: Option<f64>) -> Steps<N> {
+    if let Some(range) = range {
+        return Steps::between([-range; N], [range; N]);
     }
     let of = |corner: DVec3| std::array::from_fn(|k| corner.to_array().get(k).copied().unwrap_or(0.0));
     Steps::between(of(low), of(high))
@@ -310,7 +314,7 @@ fn steps_of<const N: usize>([low, high]: [DVec3; 2], are_directions: bool) -> St
 /// Prepares a frame that stands for itself; the iterator makes its parts one by one. With differences it is a key
 /// frame.
 ///
-/// There is always at least one part. Attributes follow one another: positions, then normals, then tangents.
+/// There is always at least one part. Attributes follow one another in the order of their numbers.
 pub fn encode(request: Frame) -> FrameParts {
     prepare(request, None)
 }
@@ -355,15 +359,16 @@ fn prepare(mut request: Frame, sent: Option<SentSteps>) -> FrameParts {
 }
 
 /// The runs of parts of a frame, and how many parts they are.
-fn blocks(kind: &FrameKind, encoding: frame::Encoding, is_listed: bool, part_bytes: usize) -> ([FrameBlock; 3], u32) {
-    let attributes = [
-        (frame::Attribute::Position, kind.carries[0]),
-        (frame::Attribute::Normal, kind.carries[1]),
-        (frame::Attribute::Tangent, kind.carries[2]),
-    ];
+fn blocks(
+    kind: &FrameKind,
+    encoding: frame::Encoding,
+    is_listed: bool,
+    part_bytes: usize,
+) -> ([FrameBlock; ATTRIBUTES.len()], u32) {
     let index_bytes = if is_listed { 4 } else { 0 };
     let mut parts = 0u32;
-    let blocks = attributes.map(|(attribute, is_sent)| {
+    let blocks = std::array::from_fn(|k| {
+        let (attribute, is_sent) = (ATTRIBUTES[k], kind.carries[k]);
         let run = (part_bytes / (bytes_a_vertex(encoding, attribute) + index_bytes)).max(1);
         let first_part = parts;
         if is_sent {
@@ -395,7 +400,7 @@ struct FrameBlock {
 pub struct FrameParts {
     header: pb::Frame,
     frame: Arc<Frame>,
-    blocks: [FrameBlock; 3],
+    blocks: [FrameBlock; ATTRIBUTES.len()],
     /// What the numbers refer to.
     reference: FrameReference,
     /// The input of meshopt.
@@ -426,9 +431,9 @@ impl FrameParts {
         let end = first.saturating_add(block.run).min(self.frame.count());
         let indices = self.frame.selected.as_ref().map(|s| s[first..end].to_vec());
         let bounds = self.reference.bounds;
-        let corners = bounds.map(|bounds| match block.attribute {
-            frame::Attribute::Position => bounds,
-            _ => [DVec3::NEG_ONE, DVec3::ONE],
+        let corners = bounds.map(|bounds| match range_of(block.attribute) {
+            None => bounds,
+            Some(range) => [DVec3::splat(-range), DVec3::splat(range)],
         });
         let corner = |k: usize| corners.map(|c| c[k].to_array().to_vec()).unwrap_or_default();
         let first_vertex = match &indices {

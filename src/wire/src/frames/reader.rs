@@ -4,13 +4,14 @@
 //! and then nothing is read but a frame that stands for itself.
 
 use super::pb::{self, frame};
+use super::{ATTRIBUTES, range_of, width_of};
 use crate::Error;
 
 /// Reads the frames of one stream. Another stream, and a model that an edit has changed, need another reader.
 #[derive(Debug)]
 pub struct FrameReader {
     vertices: usize,
-    attributes: [ReadAttribute; 3],
+    attributes: [ReadAttribute; ATTRIBUTES.len()],
     /// The corners of the box in which the steps of positions are.
     corners: [Vec<f64>; 2],
     /// The number of the frame whose steps are held.
@@ -63,7 +64,7 @@ impl FrameReader {
         taken
     }
 
-    /// Numbers of an attribute, three a vertex, of tangents four; empty where none came.
+    /// Numbers of an attribute, three a vertex, of tangents and rotations four; empty where none came.
     pub fn numbers(&self, attribute: frame::Attribute) -> &[f32] {
         &self.attributes[attribute as usize].numbers
     }
@@ -106,7 +107,7 @@ impl FrameReader {
             .map_err(|_| Error::invalid("frame.attribute", "is none that is known"))?;
         let encoding = frame::Encoding::try_from(part.encoding)
             .map_err(|_| Error::invalid("frame.encoding", "is none that is known"))?;
-        let width = if attribute == frame::Attribute::Tangent { 4 } else { 3 };
+        let width = width_of(attribute);
         let range = self.places(part)?;
         let count = range.len();
         let data = &part.data[..];
@@ -240,8 +241,8 @@ fn exactly(data: &[u8], bytes: usize) -> Result<&[u8], Error> {
 
 /// What steps 0 and 65535 of each number stand for.
 fn corners(part: &pb::Frame, attribute: frame::Attribute) -> Result<[Vec<f64>; 2], Error> {
-    if attribute != frame::Attribute::Position {
-        return Ok([vec![-1.0; 4], vec![1.0; 4]]);
+    if let Some(range) = range_of(attribute) {
+        return Ok([vec![-range; 4], vec![range; 4]]);
     }
     if part.box_min.len() != 3 || part.box_max.len() != 3 {
         return Err(Error::invalid("frame.boxMin", "and boxMax are not corners of a box"));

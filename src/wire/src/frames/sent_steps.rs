@@ -5,7 +5,7 @@
 
 use super::output::{FrameEncoding, FrameOutput};
 use super::pb::frame;
-use super::{Frame, KEPT_BYTES};
+use super::{ATTRIBUTES, Frame, KEPT_BYTES};
 use glam::DVec3;
 use pliant_core::engine::TopologyId;
 
@@ -30,8 +30,8 @@ struct LastFrame {
     kind: FrameKind,
     /// The box of its key frame.
     corners: [DVec3; 2],
-    /// Steps of positions, normals and tangents, four a vertex; of what it does not carry there are none.
-    steps: [Vec<[u16; 4]>; 3],
+    /// Steps of each attribute, four a vertex; of what it does not carry there are none.
+    steps: [Vec<[u16; 4]>; ATTRIBUTES.len()],
 }
 
 /// Frames of one kind can be sent as differences.
@@ -44,7 +44,7 @@ pub(super) struct FrameKind {
     /// The state of the model that its vertices belong to.
     pub topology: Option<TopologyId>,
     /// Which attributes it carries.
-    pub carries: [bool; 3],
+    pub carries: [bool; ATTRIBUTES.len()],
     pub vertices: usize,
 }
 

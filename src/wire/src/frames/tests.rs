@@ -309,3 +309,74 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn gradients_are_read_as_they_were_made_in_every_encoding() {
+    let positions = wave(700);
+    let turn = |k: usize| glam::Quat::from_axis_angle(glam::Vec3::Y, k as f32 * 0.004);
+    let gradients = LocalGradients {
+        rotations: (0..700).map(|k| turn(k).into()).collect(),
+        stretches: (0..700).map(|k| glam::Vec3::new(0.5, 1.0, k as f32 * 0.005)).collect(),
+        shears: (0..700)
+            .map(|k| glam::Vec3::new(-0.25, k as f32 * 0.003, 0.0))
+            .collect(),
+    };
+    for encoding in [
+        frame::Encoding::F32,
+        frame::Encoding::U16,
+        frame::Encoding::Meshopt,
+        frame::Encoding::Delta,
+    ] {
+        let mut request = request(positions.clone(), encoding, 3000);
+        request.gradients = Some(Arc::new(gradients.clone()));
+        assert_eq!(
+            encode(request.clone()).filter(|p| p.attribute != 0).count(),
+            0,
+            "not asked for"
+        );
+        request.output.gradients = true;
+        let mut reader = FrameReader::new(700);
+        let mut sent = SentSteps::default();
+        let mut carried = Vec::new();
+        for round in 0..2 {
+            let mut parts = encode_next(request.clone(), sent);
+            let made: Vec<_> = parts.by_ref().collect();
+            check_parts(&made, 3000);
+            sent = parts.into_sent();
+            made.iter().for_each(|part| {
+                reader.take(part).expect("is read");
+            });
+            let differs = made.iter().any(|part| part.encoding() == frame::Encoding::Delta);
+            assert_eq!(differs, round == 1 && encoding == frame::Encoding::Delta);
+            carried = made.iter().map(|part| part.attribute).collect();
+        }
+        carried.dedup();
+        assert_eq!(carried, [0, 3, 4, 5]);
+        let error = if encoding == frame::Encoding::F32 {
+            0.0
+        } else {
+            4.0 / 65535.0
+        };
+        for k in 0..700 {
+            let near = |seen: &[f32], made: &[f32]| {
+                seen.iter()
+                    .zip(made)
+                    .all(|(a, b)| (a - b).abs() <= error + 1e-6 * error)
+            };
+            let of =
+                |attribute: frame::Attribute, width: usize| reader.numbers(attribute)[width * k..][..width].to_vec();
+            assert!(
+                near(&of(frame::Attribute::Rotation, 4), &gradients.rotations[k].to_array()),
+                "{encoding:?} {k}"
+            );
+            assert!(
+                near(&of(frame::Attribute::Stretch, 3), &gradients.stretches[k].to_array()),
+                "{encoding:?} {k}"
+            );
+            assert!(
+                near(&of(frame::Attribute::Shear, 3), &gradients.shears[k].to_array()),
+                "{encoding:?} {k}"
+            );
+        }
+    }
+}

@@ -256,6 +256,8 @@ fn settings_message(settings: &SolveSettings) -> SettingsMessage {
         method,
         fits,
         recipe,
+        // A shape is the same with and without them.
+        gradients: _,
     } = settings;
     SettingsMessage {
         tolerance: quality.tolerance,
@@ -308,6 +310,7 @@ fn recorded_settings(message: &SettingsMessage) -> Result<SolveSettings, Error> 
                 format!("is {}, known are 0 to {}", message.recipe, known - 1),
             )
         })?,
+        gradients: false,
     })
 }
 
@@ -326,6 +329,7 @@ fn frame_message(frame: &AnsweredFrame) -> FrameMessage {
             changed_only: output.changed_only,
             encoding: output.encoding.to_message().into(),
             self_intersections: output.self_intersections,
+            gradients: output.gradients,
         }),
     }
 }
@@ -352,6 +356,7 @@ fn recorded_frame(message: &FrameMessage, found_turns: &[pb::FoundTurn]) -> Resu
             changed_only: output.changed_only,
             encoding: FrameEncoding::from_message(encoding),
             self_intersections: output.self_intersections,
+            gradients: output.gradients,
             asked: 0,
         },
     })

@@ -42,6 +42,7 @@ fn unusual_settings() -> SolveSettings {
         method: Method::Diffusion,
         fits: FitOrder::GraphAlone,
         recipe: Recipe::AsTheyCome,
+        gradients: false,
     }
 }
 

@@ -8,6 +8,7 @@
 //! [`patch`] and [`write`] write models of this format, [`build`] others.
 
 mod build;
+mod identities;
 mod looks;
 mod model_text;
 mod package;

@@ -2,6 +2,7 @@
 //!
 //! Printers want closed surfaces, so vertices of an object that lie at one place are one, and triangles that come to nothing are left out.
 
+use super::identities::Identities;
 use super::scene::unwritable;
 use crate::Error;
 use crate::formats::text::{NumberPrecision, push_number};
@@ -77,6 +78,8 @@ pub(super) struct PartText {
     pub pictures: Vec<(String, Vec<u8>)>,
     /// What cannot be said, each once.
     pub lost: BTreeSet<String>,
+    /// What elements without a UUID get.
+    pub identities: Identities,
 }
 
 impl PartText {
@@ -100,6 +103,7 @@ impl PartText {
 
     /// Adds an object with a mesh; `attributes` as they are written.
     pub fn push_mesh(&mut self, id: u32, attributes: &str, mesh: &MeshText) {
+        let attributes = self.identities.with_uuid(attributes);
         let out = &mut self.objects;
         out.extend(format!("<object id=\"{id}\"{attributes}").bytes());
         if let Some((group, [first, ..])) = mesh.first_property {
@@ -117,6 +121,7 @@ impl PartText {
     }
 
     pub fn push_item(&mut self, object: u32, attributes: &str) {
+        let attributes = self.identities.with_uuid(attributes);
         self.items
             .extend(format!("<item objectid=\"{object}\"{attributes}/>\n").bytes());
     }

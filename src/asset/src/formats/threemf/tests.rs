@@ -110,6 +110,21 @@ fn uses_of_one_mesh_that_move_apart_get_meshes_of_their_own() {
     );
     assert!(text.contains(r#"<object id="7" name="twin" p:UUID="u">"#), "{text}");
     assert!(text.contains(r#"<item objectid="7" p:UUID="i"/>"#), "{text}");
+    // What the production extension wants to have a UUID has one of its own, and the same each time: two objects, two items, the build.
+    let uuids: Vec<&str> = text
+        .split("p:UUID=\"")
+        .skip(1)
+        .filter_map(|rest| rest.split('"').next())
+        .collect();
+    assert_eq!(uuids.len(), 5, "{text}");
+    let different: std::collections::BTreeSet<&str> = uuids.iter().copied().collect();
+    assert_eq!(different.len(), 5, "{text}");
+    let made = uuids
+        .iter()
+        .filter(|uuid| uuid.len() == 36 && uuid.as_bytes()[14] == b'8');
+    assert_eq!(made.count(), 3, "{text}");
+    let twice = model.write(&moved, Format::THREE_MF).expect("writable");
+    assert_eq!(twice.main, written.main);
     assert!(
         written.warnings.iter().any(|w| w.message.contains("1 mesh shared")),
         "{:?}",

@@ -1,6 +1,7 @@
 //! Writes the objects of a 3MF again after an edit; everything else of the model part stays as written.
 
 use super::build::push_neutral;
+use super::identities::{Identities, attributes_of_build};
 use super::looks::{RunOrigins, UseProperties};
 use super::model_text::{MeshText, PartText, WrittenProperty, name_attribute};
 use super::package::{FORMAT, Package};
@@ -46,13 +47,21 @@ impl<'a> Rewrite<'a> {
         let model = edited.bases.first().map(|base| base.model);
         let model = model.ok_or_else(|| unwritable("there is no base"))?;
         let notes: &PrintNotes = model.notes_or_refuse(FORMAT)?;
-        let largest = notes.scene.parts.first().map_or(0, |root| root.largest_id);
+        let root = notes.scene.parts.first();
+        let largest = root.map_or(0, |root| root.largest_id);
+        let mut text = PartText::new(largest.saturating_add(1));
+        if let Some(root) = root {
+            let (limits, mut package) = (Limits::UNLIMITED, Package::open(&model.files.main)?);
+            if let Some(bytes) = package.part(&root.name, &ReadWatch::new(&limits, &Silent, 0))? {
+                text.identities = Identities::of_part(&bytes, &bytes[..root.head]);
+            }
+        }
         Ok(Self {
             edited,
             positions,
             model,
             notes,
-            text: PartText::new(largest.saturating_add(1)),
+            text,
             moved_groups: BTreeMap::new(),
             caps: None,
             written: BTreeSet::new(),
@@ -124,13 +133,15 @@ impl<'a> Rewrite<'a> {
                     None => self.text.take_id()?,
                 };
                 let words = known.filter(|_| is_new).map_or("", |object| &object.attributes);
+                let words = self.text.identities.with_uuid(words);
                 self.text
                     .objects
                     .extend(format!("<object id=\"{id}\"{words}><components>").bytes());
                 for object in objects {
+                    let words = self.text.identities.with_uuid("");
                     self.text
                         .objects
-                        .extend(format!("<component objectid=\"{object}\"/>").bytes());
+                        .extend(format!("<component objectid=\"{object}\"{words}/>").bytes());
                 }
                 self.text.objects.extend_from_slice(b"</components></object>\n");
                 self.text.push_item(id, attributes);
@@ -244,7 +255,7 @@ impl<'a> Rewrite<'a> {
     }
 
     /// The package with the new part.
-    fn pack(self) -> Result<WrittenFiles, Error> {
+    fn pack(mut self) -> Result<WrittenFiles, Error> {
         let limits = Limits::UNLIMITED;
         let watch = ReadWatch::new(&limits, &Silent, 0);
         let mut package = Package::open(&self.model.files.main)?;
@@ -266,11 +277,13 @@ impl<'a> Rewrite<'a> {
                 out.push(b'\n');
                 out.extend_from_slice(&self.text.groups);
                 out.extend_from_slice(&self.text.objects);
-                out.extend_from_slice(b"</resources>\n<build>\n");
+                let words = self.text.identities.with_uuid(&attributes_of_build(&bytes));
+                out.extend(format!("</resources>\n<build{words}>\n").bytes());
                 out.extend_from_slice(&self.text.items);
                 out.extend_from_slice(b"</build>");
             } else {
-                out.extend_from_slice(b"\n<resources></resources>\n<build></build>");
+                let words = Identities::of_part(&bytes, &bytes[..part.head]).with_uuid(&attributes_of_build(&bytes));
+                out.extend(format!("\n<resources></resources>\n<build{words}></build>").bytes());
             }
             out.extend(format!("\n</{}>\n", model_name(&bytes[..part.head])).bytes());
             replaced.insert(part.name.clone(), out);

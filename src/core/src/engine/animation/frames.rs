@@ -328,9 +328,10 @@ impl Animation {
             rest: &derived.topology().rest,
             unreferenced: &[],
             riders: derived.riding_vertices(),
+            frames: None,
             pool: exec.pool,
         };
-        let mut positions = shape.render(&solution.positions, &solution.frames, &transforms);
+        let (mut positions, _) = shape.render(&solution.positions, &solution.frames, &transforms);
         if let Some(beside) = &self.beside {
             let topology = derived.topology();
             beside.shift_skinned(
