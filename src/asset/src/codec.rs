@@ -4,6 +4,7 @@
 //! are read only; [`write`](super::write) and
 //! [`Model::read`](super::Model::read) call it.
 
+use super::blend_shapes::BlendShapes;
 use super::edited::{EditedModel, FaceOutlines, PrimitiveRun, RunFaces};
 use super::files::ReadWatch;
 use super::look::SurfaceLook;
@@ -122,6 +123,12 @@ pub(super) trait FormatCodec: Sync {
     fn scene_clip(&self, model: &Model, index: usize) -> Result<Option<SceneClip>, Error> {
         let _ = (model, index);
         Ok(None)
+    }
+
+    /// The blend shapes of a model that this codec has read; none for formats that know none.
+    fn blend_shapes(&self, model: &Model) -> Result<BlendShapes, Error> {
+        let _ = model;
+        Ok(BlendShapes::default())
     }
 
     /// Writes the rest pose of a model that this codec has read, with a clip. `vertices`: for each of its vertices the

@@ -20,6 +20,7 @@
 
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
+mod blend_shapes;
 mod codec;
 mod edited;
 mod files;
@@ -38,6 +39,7 @@ mod usd;
 mod vertex_attributes;
 mod write;
 
+pub use blend_shapes::{BlendClip, BlendShape, BlendShapes};
 pub use edited::{BaseModel, CapLooks, EditedModel, PrimitiveRun, VertexBlend, VertexBlends};
 pub use files::{FileSet, Limits, WrittenFiles, WrittenWarning};
 pub use following::{

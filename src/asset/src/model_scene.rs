@@ -175,7 +175,7 @@ impl Model {
         Err(Error::unwritable(Format::GLB, problem))
     }
 
-    fn write_played(&self, clip: &PlayedClip<'_>) -> Result<WrittenFiles, Error> {
+    pub(super) fn write_played(&self, clip: &PlayedClip<'_>) -> Result<WrittenFiles, Error> {
         let writer = writer_of(Format::GLB)?;
         let rest = &self.positions;
         let (written, vertices) = if writer.patches_files_of(self.format) {

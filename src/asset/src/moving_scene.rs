@@ -1,5 +1,6 @@
 //! What moves in a scene: nodes, clips, and which nodes hold which vertices; and clips that play solved frames.
 
+use super::blend_shapes::BlendShapes;
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 use std::ops::Range;
 
@@ -226,4 +227,6 @@ pub(super) enum PlayedClip<'a> {
     Morphs(MorphClip<'a>),
     /// Joints.
     Joints(SkinnedClip<'a>),
+    /// Blend shapes with their clips.
+    Shapes(&'a BlendShapes),
 }

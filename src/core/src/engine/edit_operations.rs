@@ -16,7 +16,7 @@ use super::quality::{HandleBend, plan_division};
 use super::region_context::{RegionContext, vertices_in_region};
 use super::seams::Seams;
 use super::shape::Shading;
-use super::wrap::{SurfaceWrapping, WrapCommand, WrapReport};
+use super::wrap::{SurfaceWrapping, WRAPPED_BYTES, WrapCommand, WrapReport};
 use crate::asset::{Model, Splats};
 use crate::deform::BodyOptions;
 use crate::edit::{
@@ -31,9 +31,6 @@ use std::sync::Arc;
 
 /// How many times as large as the smaller of two merged models both together may be: 32-bit positions have 1e7 steps.
 const LARGEST: f64 = 1e6;
-
-/// Bytes that a wrap takes for each vertex of both surfaces.
-const WRAPPED_BYTES: u64 = 2048;
 
 /// What an operation is planned on. A merge appends to surface and origins.
 pub(super) struct EditContext<'a> {
