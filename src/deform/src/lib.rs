@@ -85,7 +85,7 @@ pub use error::Error;
 pub use fields::HarmonicFields;
 pub use first_pass::{LocalFrame, LocalRotation, PoseBlend, frames, pack_rotation};
 pub use fold_suspects::RestFaces;
-pub use folds::{FaceChanges, FaceSurroundings, unfold_faces, unfold_suspects};
+pub use folds::{FaceChanges, FaceSurroundings, unfold_faces, unfold_suspects, unfold_vertices};
 pub use guides::{BoundGuide, Guide, GuidePose, GuideProblem};
 pub use handles::{
     FreePartPolicy, HandleConstraint, HandleMotion, HandleSetup, HandleShares, HandleSystem, HoldTargets,
@@ -96,7 +96,7 @@ pub use pose::{
 };
 pub use rotation::{Transform, blend_rotations, exp_rotation, fade, fit_rigid_motion, log_rotation};
 pub use second_pass::{SecondPassEquations, SolveState, TurnChange, TurnChangeKind};
-pub use shape_transfer::ShapeTransfer;
+pub use shape_transfer::{CarriedMotion, ShapeTransfer};
 pub use surface_faults::{FreeSurface, SurfaceFaults};
 pub use thin_faces::NeedlesAndCaps;
 pub use volume_scales::VolumeScales;

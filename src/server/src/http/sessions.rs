@@ -151,6 +151,9 @@ pub(super) async fn rig(call: SessionCall, request: Request) -> Result<Response,
 pub(super) async fn transfer(call: SessionCall, request: Request) -> Result<Response, Problem> {
     let message: pb::TransferRequest = call.message(request).await?;
     let order = messages::transfer_order(&message)?;
+    if order.command.format == Some(Format::GLTF) {
+        return Err(Error::invalid("output", "is \"gltf\", which has files beside it; ask for glb").into());
+    }
     let came = call.manager.transfer(&call.caller.tenant, &call.id, order).await?;
     let shapes = &came.report.shapes;
     let flipped: u32 = shapes.iter().map(|shape| shape.flipped_triangles).sum();

@@ -3,7 +3,7 @@
 use super::command::{ShapeFacts, TransferCommand, TransferReport, Transferred};
 use super::places::{OrientedPoint, SurfacePlace, places_on};
 use crate::asset::{self, BlendShape, BlendShapes, Format, Limits, Model, Splats};
-use crate::deform::ShapeTransfer;
+use crate::deform::{CarriedMotion, FaceSurroundings, ShapeTransfer, unfold_vertices};
 use crate::engine::Deformer;
 use crate::engine::derived_structures::admit_bytes;
 use crate::engine::error::Error;
@@ -14,6 +14,7 @@ use crate::exec::Exec;
 use crate::mesh::shading::smooth_normals;
 use crate::mesh::{Mesh, NONE, Weld};
 use glam::{DVec3, Vec3};
+use std::sync::OnceLock;
 
 /// Bytes for each number that a shape has in the source and on the model, while it is carried and written.
 const BYTES_PER_MOVE: u64 = 16;
@@ -38,7 +39,11 @@ impl Deformer {
             None => MovingSource::of_shapes(&source)?,
         };
         let format = match &command.shape {
-            Some(_) => command.format.unwrap_or(self.model().format),
+            // One file, without buffers beside it, unless those are asked for.
+            Some(_) => command.format.unwrap_or(match self.model().format {
+                own if own == Format::GLTF => Format::GLB,
+                own => own,
+            }),
             None => Format::GLB,
         };
         let of_source = moving.shapes.len() * source.mesh.positions.len();
@@ -156,19 +161,19 @@ impl TransferRun<'_> {
             ..
         } = self;
         let places = carrier.places(own, exec)?;
-        let mut surfaces = ShapeTransfer::between(carrier.source, carrier.wrapped, exec)?;
-        let moves = at_places(&surfaces.carry(&shape.moves, exec)?, &places);
-        told.shapes = vec![carrier.facts(shape, own, &moves, exec)];
-        let now: Vec<DVec3> = own.positions.iter().zip(&moves).map(|(p, m)| *p + *m).collect();
+        let mut surfaces = ShapeTransfer::between(carrier.source, carrier.wrapped, CarriedMotion::Pose, exec)?;
+        let moves = surfaces.carry(&shape.moves, exec)?;
+        let moved = MovedSurface::of(own, &OnceLock::new(), &moves, &places, exec);
+        told.shapes = vec![carrier.facts(shape, own, &moved, exec)];
         let mut positions = self.positions.to_vec();
         for (place, &point) in positions.iter_mut().zip(&own.solver_from_render) {
             if point != NONE {
-                *place += moves[point as usize];
+                *place += moved.now[point as usize] - own.positions[point as usize];
             }
         }
         deformer.derived.bind_riders(&deformer.room_limits(), exec)?;
         if let Some((surface, riders)) = deformer.derived.riding_vertices() {
-            riders.place(surface, &now, &mut positions, exec.pool);
+            riders.place(surface, &moved.now, &mut positions, exec.pool);
         }
         Ok(Transferred {
             files: deformer.write(&positions, format, exec)?,
@@ -187,18 +192,20 @@ impl TransferRun<'_> {
             .map_err(|e| Error::Precondition(format!("the model as a GLB: {e}")))?;
         let is_same = carrier.is_same && mesh.solver_from_render == self.own.solver_from_render;
         let places = SourceCarrier { is_same, ..*carrier }.places(&mesh, exec)?;
-        let mut surfaces = ShapeTransfer::between(carrier.source, carrier.wrapped, exec)?;
+        let mut surfaces = ShapeTransfer::between(carrier.source, carrier.wrapped, CarriedMotion::Shapes, exec)?;
         let MovingSource { shapes, blend } = moving;
+        let surroundings = OnceLock::new();
         let count = shapes.len().max(1);
         let mut carried = Vec::with_capacity(count);
         for (k, shape) in shapes.iter().enumerate() {
             exec.check()?;
             exec.progress.report("shapes", k as f32 / count as f32);
-            let moves = at_places(&surfaces.carry(&shape.moves, exec)?, &places);
-            told.shapes.push(carrier.facts(shape, &mesh, &moves, exec));
+            let moves = surfaces.carry(&shape.moves, exec)?;
+            let moved = MovedSurface::of(&mesh, &surroundings, &moves, &places, exec);
+            told.shapes.push(carrier.facts(shape, &mesh, &moved, exec));
             let of = |point: &u32| match *point {
                 NONE => Vec3::ZERO,
-                point => moves[point as usize].as_vec3(),
+                point => (moved.now[point as usize] - mesh.positions[point as usize]).as_vec3(),
             };
             carried.push(BlendShape {
                 name: shape.name.clone(),
@@ -320,24 +327,47 @@ impl SourceCarrier<'_> {
         places_on(self.wrapped, &self.source.triangles, &points.collect::<Vec<_>>(), exec)
     }
 
-    fn facts(&self, shape: &SourceShape, mesh: &Mesh, moves: &[DVec3], exec: &Exec<'_>) -> ShapeFacts {
-        let flipped = |mesh: &Mesh, moves: &[DVec3]| {
-            let now: Vec<DVec3> = mesh.positions.iter().zip(moves).map(|(p, m)| *p + *m).collect();
-            measure_quality(mesh, false, &now, exec.pool).flipped_triangles
-        };
-        let largest = moves.iter().map(|m| m.length()).fold(0.0, f64::max);
+    fn facts(&self, shape: &SourceShape, mesh: &Mesh, moved: &MovedSurface, exec: &Exec<'_>) -> ShapeFacts {
+        let source = self.source.positions.iter().zip(&shape.moves).map(|(p, m)| *p + *m);
+        let source: Vec<DVec3> = source.collect();
+        let moves = || mesh.positions.iter().zip(&moved.now).map(|(p, now)| *now - *p);
+        let largest = moves().map(|m| m.length()).fold(0.0, f64::max);
         ShapeFacts {
             name: shape.name.clone(),
-            moved_vertices: moves.iter().filter(|m| **m != DVec3::ZERO).count() as u32,
+            moved_vertices: moves().filter(|m| *m != DVec3::ZERO).count() as u32,
             largest_move: largest / mesh.bounds().diagonal().max(f64::MIN_POSITIVE),
-            flipped_triangles: flipped(mesh, moves),
-            flipped_in_source: flipped(self.source, &shape.moves),
+            flipped_triangles: moved.flipped,
+            flipped_in_source: measure_quality(self.source, false, &source, exec.pool).flipped_triangles,
         }
     }
 }
 
-/// Moves of vertices, in between at places.
-fn at_places(moves: &[DVec3], places: &[SurfacePlace]) -> Vec<DVec3> {
-    let at = |place: &SurfacePlace| place.iter().map(|(v, w)| moves[*v as usize] * *w).sum();
-    places.iter().map(at).collect()
+/// The model's surface in a shape.
+struct MovedSurface {
+    now: Vec<DVec3>,
+    /// Triangles that are turned over.
+    flipped: u32,
+}
+
+impl MovedSurface {
+    /// Moves a surface by what the wrapped source does at places. Faces that this turns over, because they lie across a crease of the
+    /// source, are brought back; what does not move stays.
+    fn of(
+        mesh: &Mesh,
+        surroundings: &OnceLock<FaceSurroundings>,
+        moves: &[DVec3],
+        places: &[SurfacePlace],
+        exec: &Exec<'_>,
+    ) -> Self {
+        let moves: Vec<DVec3> = (places.iter())
+            .map(|place| place.iter().map(|(v, w)| moves[*v as usize] * *w).sum())
+            .collect();
+        let held: Vec<bool> = moves.iter().map(|m| *m == DVec3::ZERO).collect();
+        let mut now: Vec<DVec3> = mesh.positions.iter().zip(&moves).map(|(p, m)| *p + *m).collect();
+        let changes = unfold_vertices(mesh, surroundings, &held, &mut now, exec.pool);
+        Self {
+            now,
+            flipped: changes.turned_over() as u32,
+        }
+    }
 }
