@@ -84,6 +84,7 @@ fn call_of(work: WorkKind) -> Option<&'static str> {
         WorkKind::Export => "/v1/sessions/{id}/model",
         WorkKind::Carry => "/v1/sessions/{id}/carry",
         WorkKind::Rig => "/v1/sessions/{id}/rig",
+        WorkKind::Transfer => "/v1/sessions/{id}/transfer",
         WorkKind::Crossings => "/v1/sessions/{id}/crossings",
         WorkKind::Animate | WorkKind::Frame | WorkKind::Clip => "/v1/sessions/{id}/animations",
         WorkKind::Settle => return None,

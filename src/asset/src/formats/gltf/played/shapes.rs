@@ -167,8 +167,7 @@ fn draw_shapes(
     for (i, primitive) in doc.meshes.values[node.mesh].primitives.iter().enumerate() {
         let row = node.rows.iter().find(|(_, row)| row.primitive == i);
         let position = primitive.attribute("POSITION").and_then(|at| doc.accessors.get(at));
-        let mut own = PrimitiveChanges::default();
-        own.targets = match (row, position) {
+        let targets = match (row, position) {
             (Some((number, _)), _) => targets[*number].clone(),
             (None, Some(position)) => {
                 let still = add_moves(played, position.count.index(), true, |_| None);
@@ -176,7 +175,10 @@ fn draw_shapes(
             }
             (None, None) => Vec::new(),
         };
-        changes.push(own);
+        changes.push(PrimitiveChanges {
+            targets,
+            ..PrimitiveChanges::default()
+        });
     }
     let mut mesh = changed_mesh(doc.item(&doc.meshes, node.mesh), &changes);
     if shapes.shapes.iter().any(|shape| shape.weight != 0.0) {
