@@ -150,7 +150,7 @@ impl TransferArgs {
         Ok(deformer.transfer(deformer.rest(), &command, exec)?)
     }
 
-    /// Draws source and target at rest and in some shapes.
+    /// Draws source and target in their rest poses and in some shapes.
     fn draw(
         &self,
         path: &Path,

@@ -4,12 +4,11 @@
 //! are read only; [`write`](super::write) and
 //! [`Model::read`](super::Model::read) call it.
 
-use super::blend_shapes::BlendShapes;
 use super::edited::{EditedModel, FaceOutlines, PrimitiveRun, RunFaces};
 use super::files::ReadWatch;
 use super::look::SurfaceLook;
 use super::model::FileNotes;
-use super::moving_scene::{MovingScene, PlayedClip, PrimitiveShapes, SceneClip};
+use super::moving_scene::{BlendShapes, MovingScene, PlayedClip, PrimitiveShapes, SceneClip};
 use super::neutral::{NeutralModel, RunAttributes, RunPart};
 use super::vertex_attributes::AttributeKeys;
 use super::{Error, FileSet, FollowedCounts, Format, Geometry, Model, ModelNode, ShapeFollowers, WrittenFiles};

@@ -20,7 +20,6 @@
 
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
-mod blend_shapes;
 mod codec;
 mod edited;
 mod files;
@@ -39,7 +38,6 @@ mod usd;
 mod vertex_attributes;
 mod write;
 
-pub use blend_shapes::{BlendClip, BlendShape, BlendShapes};
 pub use edited::{BaseModel, CapLooks, EditedModel, PrimitiveRun, VertexBlend, VertexBlends};
 pub use files::{FileSet, Limits, WrittenFiles, WrittenWarning};
 pub use following::{
@@ -52,9 +50,9 @@ pub use geometry::{Geometry, Primitive, VertexCache};
 pub use look::{AlphaMode, BaseMaterial, DrawnModel, SurfaceLook, TextureUse, TextureWrap};
 pub use model::Model;
 pub use moving_scene::{
-    CarryingJoints, ChannelInterpolation, ChannelValues, ClipBeside, JointInfluences, MorphClip, MovingScene, NodeKeys,
-    NodePlace, PlayedCorrectives, PlayedJoint, PrimitiveShapes, SceneChannel, SceneClip, SceneNode, ScenePrimitive,
-    SkinnedClip,
+    BlendClip, BlendShape, BlendShapes, CarryingJoints, ChannelInterpolation, ChannelValues, ClipBeside,
+    JointInfluences, MorphClip, MovingScene, NodeKeys, NodePlace, PlayedCorrectives, PlayedJoint, PrimitiveShapes,
+    SceneChannel, SceneClip, SceneNode, ScenePrimitive, SkinnedClip,
 };
 pub use usd::{UsdClip, UsdModel};
 pub use vertex_attributes::{VertexAttributes, agrees_with_facet, facet_normal, normal_key};

@@ -57,7 +57,7 @@
 //! | `guides` | curves, lattices and cages whose shape says where vertices are wanted |
 //! | `thin_faces` | needles and caps, which follow the shape around them |
 //! | `folds` | faces that turned over, brought back where nothing forces them |
-//! | `shape_transfer` | shapes of one surface, carried to another with the same triangles |
+//! | `surface_transfer` | shapes of one surface, carried to another with the same triangles |
 //! | `surface_faults` | folds and crossings of a shape, counted |
 
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
@@ -74,9 +74,9 @@ mod handles;
 mod pose;
 mod rotation;
 mod second_pass;
-mod shape_transfer;
 mod solve;
 mod surface_faults;
+mod surface_transfer;
 mod thin_faces;
 mod volume_scales;
 
@@ -96,7 +96,7 @@ pub use pose::{
 };
 pub use rotation::{Transform, blend_rotations, exp_rotation, fade, fit_rigid_motion, log_rotation};
 pub use second_pass::{SecondPassEquations, SolveState, TurnChange, TurnChangeKind};
-pub use shape_transfer::{CarriedMotion, ShapeTransfer};
 pub use surface_faults::{FreeSurface, SurfaceFaults};
+pub use surface_transfer::{CarriedMotion, SurfaceTransfer};
 pub use thin_faces::NeedlesAndCaps;
 pub use volume_scales::VolumeScales;

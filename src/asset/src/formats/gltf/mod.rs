@@ -87,13 +87,12 @@ pub(super) use document::{GLB_FORMAT, GLTF_FORMAT};
 pub(super) use extensions::extension_table;
 pub(super) use fresh::unit_normals;
 
-use crate::blend_shapes::BlendShapes;
 use crate::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile};
 use crate::edited::{EditedModel, PrimitiveRun};
 use crate::files::ReadWatch;
 use crate::look::SurfaceLook;
 use crate::model::is_same;
-use crate::moving_scene::{MovingScene, PlayedClip, PrimitiveShapes, SceneClip};
+use crate::moving_scene::{BlendShapes, MovingScene, PlayedClip, PrimitiveShapes, SceneClip};
 use crate::neutral::{NeutralModel, RunAttributes};
 use crate::vertex_attributes::AttributeKeys;
 use crate::{Error, FileSet, FollowedCounts, Format, Model, ModelNode, MorphTargetRule, WrittenFiles};

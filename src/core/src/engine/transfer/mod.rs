@@ -1,7 +1,7 @@
 //! Blend shapes of one model on another, or a pose: the other model keeps its vertices, texture coordinates, rig and materials.
 //!
 //! `run` wraps the source onto the model, unless both have the same triangles; there the source's shapes are carried to its wrapped
-//! surface by the gradients of its triangles ([`ShapeTransfer`](crate::deform::ShapeTransfer)), and from there to the model's vertices
+//! surface by the gradients of its triangles ([`SurfaceTransfer`](crate::deform::SurfaceTransfer)), and from there to the model's vertices
 //! by their `places` on it.
 
 mod command;

@@ -3,7 +3,7 @@
 use super::command::{ShapeFacts, TransferCommand, TransferReport, Transferred};
 use super::places::{OrientedPoint, SurfacePlace, places_on};
 use crate::asset::{self, BlendShape, BlendShapes, Format, Limits, Model, Splats};
-use crate::deform::{CarriedMotion, FaceSurroundings, ShapeTransfer, unfold_vertices};
+use crate::deform::{CarriedMotion, FaceSurroundings, SurfaceTransfer, unfold_vertices};
 use crate::engine::Deformer;
 use crate::engine::derived_structures::admit_bytes;
 use crate::engine::error::Error;
@@ -161,9 +161,9 @@ impl TransferRun<'_> {
             ..
         } = self;
         let places = carrier.places(own, exec)?;
-        let mut surfaces = ShapeTransfer::between(carrier.source, carrier.wrapped, CarriedMotion::Pose, exec)?;
+        let mut surfaces = SurfaceTransfer::between(carrier.source, carrier.wrapped, CarriedMotion::Pose, exec)?;
         let moves = surfaces.carry(&shape.moves, exec)?;
-        let moved = MovedSurface::of(own, &OnceLock::new(), &moves, &places, exec);
+        let moved = ModelInShape::of(own, &OnceLock::new(), &moves, &places, exec);
         told.shapes = vec![carrier.facts(shape, own, &moved, exec)];
         let mut positions = self.positions.to_vec();
         for (place, &point) in positions.iter_mut().zip(&own.solver_from_render) {
@@ -192,7 +192,7 @@ impl TransferRun<'_> {
             .map_err(|e| Error::Precondition(format!("the model as a GLB: {e}")))?;
         let is_same = carrier.is_same && mesh.solver_from_render == self.own.solver_from_render;
         let places = SourceCarrier { is_same, ..*carrier }.places(&mesh, exec)?;
-        let mut surfaces = ShapeTransfer::between(carrier.source, carrier.wrapped, CarriedMotion::Shapes, exec)?;
+        let mut surfaces = SurfaceTransfer::between(carrier.source, carrier.wrapped, CarriedMotion::Shapes, exec)?;
         let MovingSource { shapes, blend } = moving;
         let surroundings = OnceLock::new();
         let count = shapes.len().max(1);
@@ -201,7 +201,7 @@ impl TransferRun<'_> {
             exec.check()?;
             exec.progress.report("shapes", k as f32 / count as f32);
             let moves = surfaces.carry(&shape.moves, exec)?;
-            let moved = MovedSurface::of(&mesh, &surroundings, &moves, &places, exec);
+            let moved = ModelInShape::of(&mesh, &surroundings, &moves, &places, exec);
             told.shapes.push(carrier.facts(shape, &mesh, &moved, exec));
             let of = |point: &u32| match *point {
                 NONE => Vec3::ZERO,
@@ -327,7 +327,7 @@ impl SourceCarrier<'_> {
         places_on(self.wrapped, &self.source.triangles, &points.collect::<Vec<_>>(), exec)
     }
 
-    fn facts(&self, shape: &SourceShape, mesh: &Mesh, moved: &MovedSurface, exec: &Exec<'_>) -> ShapeFacts {
+    fn facts(&self, shape: &SourceShape, mesh: &Mesh, moved: &ModelInShape, exec: &Exec<'_>) -> ShapeFacts {
         let source = self.source.positions.iter().zip(&shape.moves).map(|(p, m)| *p + *m);
         let source: Vec<DVec3> = source.collect();
         let moves = || mesh.positions.iter().zip(&moved.now).map(|(p, now)| *now - *p);
@@ -343,13 +343,13 @@ impl SourceCarrier<'_> {
 }
 
 /// The model's surface in a shape.
-struct MovedSurface {
+struct ModelInShape {
     now: Vec<DVec3>,
     /// Triangles that are turned over.
     flipped: u32,
 }
 
-impl MovedSurface {
+impl ModelInShape {
     /// Moves a surface by what the wrapped source does at places. Faces that this turns over, because they lie across a crease of the
     /// source, are brought back; what does not move stays.
     fn of(

@@ -10,8 +10,7 @@ use super::super::text::{
 };
 use super::document::{NewClip, PlayedDocument, PlayedNode, add_times, played_nodes};
 use super::morphs::{PrimitiveChanges, changed_mesh};
-use crate::blend_shapes::{BlendClip, BlendShapes};
-use crate::moving_scene::ChannelInterpolation;
+use crate::moving_scene::{BlendClip, BlendShapes, ChannelInterpolation};
 use crate::{Error, Geometry, Model};
 use glam::{DVec3, Vec3};
 use std::collections::BTreeSet;

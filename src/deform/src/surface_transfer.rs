@@ -48,7 +48,7 @@ const UNEVEN: f64 = 3.0;
 const ACCURACY: f64 = 1e-4;
 
 /// Two surfaces of the same triangles, between which shapes are carried.
-pub struct ShapeTransfer<'a> {
+pub struct SurfaceTransfer<'a> {
     source: &'a Mesh,
     /// Where the vertices of the source are on the other surface.
     other: &'a [DVec3],
@@ -62,7 +62,7 @@ pub struct ShapeTransfer<'a> {
     workspace: Workspace,
 }
 
-impl<'a> ShapeTransfer<'a> {
+impl<'a> SurfaceTransfer<'a> {
     /// Prepares: weighs the edges of `other`, one place for each vertex of the source.
     ///
     /// # Errors
