@@ -94,7 +94,7 @@ async fn what_is_wrong_with_a_transfer_is_told_by_its_field() {
         let status = answer.status().as_u16();
         let problem: serde_json::Value = answer.json().await.expect("a problem");
         assert_eq!(
-            (status / 100, &problem["field"]),
+            (status / 100, &problem["errors"][0]["field"]),
             (4, &json!(field)),
             "{order}: {problem}"
         );
