@@ -75,6 +75,12 @@ Examples:
   pliant wrap head.glb scan.obj --landmarks landmarks.json -o wrapped.glb --picture wrapped.png
   pliant wrap head.glb scan.obj --landmarks landmarks.json -o wrapped.glb --report report.json";
 
+/// `pliant transfer --help`.
+pub(super) const TRANSFER: &str = "\
+Examples:
+  pliant transfer head.glb other.glb -o other-shapes.glb --landmarks landmarks.json --picture shapes.png
+  pliant transfer body.obj other.glb --shape posed.obj -o other-posed.glb";
+
 /// `pliant render --help`.
 pub(super) const RENDER: &str = "\
 Examples:

@@ -19,6 +19,7 @@ pub mod serve;
 mod store;
 mod terminal;
 mod token;
+mod transfer;
 mod wrap;
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
@@ -60,6 +61,9 @@ enum PliantCommand {
     /// Wrap a model onto a scan or another model; topology, UVs, rig and morph targets stay
     #[command(after_help = examples::WRAP)]
     Wrap(wrap::WrapArgs),
+    /// Bring blend shapes or a pose of a model to another one, which keeps its vertices, UVs, rig and materials
+    #[command(after_help = examples::TRANSFER)]
+    Transfer(transfer::TransferArgs),
     /// Draw a model as a PNG picture, optionally beside an earlier state
     #[command(after_help = examples::RENDER)]
     Render(render::RenderArgs),
@@ -95,6 +99,7 @@ pub fn main() -> ExitCode {
         PliantCommand::Rig(args) => rig::run_rig(&args),
         PliantCommand::Skin(args) => rig::run_skin(&args),
         PliantCommand::Wrap(args) => wrap::run_wrap(&args),
+        PliantCommand::Transfer(args) => transfer::run_transfer(&args),
         PliantCommand::Render(args) => render::run_render(&args),
         PliantCommand::Sample(args) => examples::run_sample(&args),
         PliantCommand::Token(args) => token::run_token(&args),

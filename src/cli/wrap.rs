@@ -1,6 +1,6 @@
 //! `pliant wrap`: a model takes the shape of another one, mostly a scan, and keeps its topology and all that hangs on it.
 
-mod landmarks;
+pub(super) mod landmarks;
 
 use super::deform::report_format;
 use super::drawing::{DrawnShape, NormalChoice, UpAxisChoice, ViewList, parse_views};

@@ -8,6 +8,7 @@ mod map_coordinates;
 mod operators;
 mod problems;
 mod rig;
+mod shapes;
 mod transfers;
 
 use crate::support::server::*;

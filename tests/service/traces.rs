@@ -84,6 +84,7 @@ fn call_of(work: WorkKind) -> Option<&'static str> {
         WorkKind::Export => "/v1/sessions/{id}/model",
         WorkKind::Carry => "/v1/sessions/{id}/carry",
         WorkKind::Rig => "/v1/sessions/{id}/rig",
+        WorkKind::Transfer => "/v1/sessions/{id}/transfer",
         WorkKind::Crossings => "/v1/sessions/{id}/crossings",
         WorkKind::Animate | WorkKind::Frame | WorkKind::Clip => "/v1/sessions/{id}/animations",
         WorkKind::Settle => return None,
@@ -190,6 +191,11 @@ async fn work_of_every_kind_has_its_own_name_below_the_call_that_asked_for_it() 
     server.done("POST", &path("crossings"), Some(&json!({}))).await;
     // The bar is not a figure; the search is done all the same.
     server.call_with_key("POST", &path("rig"), Some(&json!({})), None).await;
+    // Nor has it blend shapes, which is found by the work of a transfer.
+    let order = json!({"model": STANDARD.encode(bar_obj(8))});
+    server
+        .call_with_key("POST", &path("transfer"), Some(&order), None)
+        .await;
     let mut stream = server.socket(&path("stream")).await;
     stream.send(Message::Pose(turned(1, 0.2, false))).await;
     assert!(matches!(stream.next().await, Came::Response(_)));

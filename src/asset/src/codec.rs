@@ -8,7 +8,7 @@ use super::edited::{EditedModel, FaceOutlines, PrimitiveRun, RunFaces};
 use super::files::ReadWatch;
 use super::look::SurfaceLook;
 use super::model::FileNotes;
-use super::moving_scene::{MovingScene, PlayedClip, PrimitiveShapes, SceneClip};
+use super::moving_scene::{BlendShapes, MovingScene, PlayedClip, PrimitiveShapes, SceneClip};
 use super::neutral::{NeutralModel, RunAttributes, RunPart};
 use super::vertex_attributes::AttributeKeys;
 use super::{Error, FileSet, FollowedCounts, Format, Geometry, Model, ModelNode, ShapeFollowers, WrittenFiles};
@@ -128,6 +128,12 @@ pub(super) trait FormatCodec: Sync {
     fn scene_clip(&self, model: &Model, index: usize) -> Result<Option<SceneClip>, Error> {
         let _ = (model, index);
         Ok(None)
+    }
+
+    /// The blend shapes of a model that this codec has read; none for formats that know none.
+    fn blend_shapes(&self, model: &Model) -> Result<BlendShapes, Error> {
+        let _ = model;
+        Ok(BlendShapes::default())
     }
 
     /// Writes the rest pose of a model that this codec has read, with a clip. `vertices`: for each of its vertices the

@@ -80,7 +80,7 @@ impl Limits {
     pub const CAGE_TRIANGLES: u32 = 20_000;
 
     /// For reading again what was already read once within the caller's limits.
-    pub(super) const UNLIMITED: Self = Self {
+    pub const UNLIMITED: Self = Self {
         vertices: u64::MAX,
         triangles: u64::MAX,
         decoded_bytes: u64::MAX,
@@ -336,7 +336,7 @@ impl WrittenFiles {
     }
 
     /// The files as a set to be read, with a name for the main file.
-    pub(super) fn into_files(self, name: impl Into<String>) -> FileSet {
+    pub fn into_files(self, name: impl Into<String>) -> FileSet {
         let companions = self.companions.into_iter();
         FileSet {
             name: name.into(),

@@ -50,9 +50,9 @@ pub use geometry::{Geometry, Primitive, VertexCache};
 pub use look::{AlphaMode, BaseMaterial, DrawnModel, SurfaceLook, TextureUse, TextureWrap};
 pub use model::Model;
 pub use moving_scene::{
-    CarryingJoints, ChannelInterpolation, ChannelValues, ClipBeside, JointInfluences, MorphClip, MovingScene, NodeKeys,
-    NodePlace, PlayedCorrectives, PlayedJoint, PrimitiveShapes, SceneChannel, SceneClip, SceneNode, ScenePrimitive,
-    SkinnedClip,
+    BlendClip, BlendShape, BlendShapes, CarryingJoints, ChannelInterpolation, ChannelValues, ClipBeside,
+    JointInfluences, MorphClip, MovingScene, NodeKeys, NodePlace, PlayedCorrectives, PlayedJoint, PrimitiveShapes,
+    SceneChannel, SceneClip, SceneNode, ScenePrimitive, SkinnedClip,
 };
 pub use usd::{UsdClip, UsdModel};
 pub use vertex_attributes::{VertexAttributes, agrees_with_facet, facet_normal, normal_key};

@@ -3,7 +3,8 @@
 use super::formats::writer_of;
 use super::look::{DrawnModel, SurfaceLook};
 use super::moving_scene::{
-    ClipBeside, MorphClip, MovingScene, NodeKeys, PlayedClip, PlayedJoint, PrimitiveShapes, SceneClip, SkinnedClip,
+    BlendShapes, ClipBeside, MorphClip, MovingScene, NodeKeys, PlayedClip, PlayedJoint, PrimitiveShapes, SceneClip,
+    SkinnedClip,
 };
 use super::write::neutral_model;
 use super::{Error, Format, Limits, Model, WrittenFiles};
@@ -83,6 +84,52 @@ impl Model {
     /// [`Error`] for targets that cannot be read, or are too many.
     pub fn primitive_shapes(&self) -> Result<Option<Vec<PrimitiveShapes>>, Error> {
         self.codec().primitive_shapes(self)
+    }
+}
+
+impl Model {
+    /// The blend shapes of the model; none for formats that know none.
+    ///
+    /// # Errors
+    /// [`Error`] for targets or clips that cannot be read, or are too many.
+    pub fn blend_shapes(&self) -> Result<BlendShapes, Error> {
+        self.codec().blend_shapes(self)
+    }
+
+    /// Writes the model as a GLB with these blend shapes. What they move gets them in place of those that it has, and clips lose
+    /// the weights of the latter; all else stays.
+    ///
+    /// # Errors
+    /// [`Error::Unwritable`] when a shape has another number of vertices or a number that is not finite, or the model does not
+    /// fit a GLB.
+    ///
+    /// # Example
+    /// ```
+    /// use glam::Vec3;
+    /// use pliant_asset::{BlendShape, BlendShapes, FileSet, Limits, Model};
+    ///
+    /// let text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
+    /// let model = Model::read(FileSet::single("one.obj", text), None, &Limits::default())?;
+    /// let lift = BlendShape { name: "lift".into(), moves: vec![Vec3::ZERO, Vec3::Z, Vec3::ZERO], weight: 0.0 };
+    /// let shapes = BlendShapes { shapes: vec![lift], ..BlendShapes::default() };
+    /// let written = model.write_blend_shapes(&shapes)?;
+    /// let read = Model::read(FileSet::single("one.glb", written.main), None, &Limits::default())?;
+    /// assert_eq!(read.blend_shapes()?, shapes);
+    /// # Ok::<(), pliant_asset::Error>(())
+    /// ```
+    pub fn write_blend_shapes(&self, shapes: &BlendShapes) -> Result<WrittenFiles, Error> {
+        for shape in &shapes.shapes {
+            let (seen, count) = (shape.moves.len(), self.positions.len());
+            if seen != count {
+                let problem = format!("\"{}\" moves {seen} vertices, the model has {count}", shape.name);
+                return Err(Error::unwritable(Format::GLB, problem));
+            }
+            if let Some(i) = shape.moves.iter().position(|m| !m.is_finite()) {
+                let problem = format!("\"{}\" moves vertex {i} by {}, not finite", shape.name, shape.moves[i]);
+                return Err(Error::unwritable(Format::GLB, problem));
+            }
+        }
+        self.write_played(&PlayedClip::Shapes(shapes))
     }
 }
 

@@ -219,11 +219,50 @@ pub struct SkinnedClip<'a> {
     pub beside: Option<ClipBeside<'a>>,
 }
 
-/// One of both.
+/// A shape that a model can be blended towards.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct BlendShape {
+    /// Its name; `shape` and a number for one that the file does not name.
+    pub name: String,
+    /// How far it moves each render vertex, in model space.
+    pub moves: Vec<Vec3>,
+    /// How much of it the model shows without a clip.
+    pub weight: f32,
+}
+
+/// A clip of the weights of blend shapes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BlendClip {
+    /// Its name; may be empty.
+    pub name: String,
+    /// Seconds, rising.
+    pub times: Vec<f64>,
+    /// How weights run from key to key.
+    pub interpolation: ChannelInterpolation,
+    /// Shapes with their weights, one for each time; three for a spline.
+    pub weights: Vec<(usize, Vec<f64>)>,
+}
+
+/// The blend shapes of a model.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct BlendShapes {
+    /// The shapes. One name on several meshes of a model is one shape.
+    pub shapes: Vec<BlendShape>,
+    /// The clips that play them.
+    pub clips: Vec<BlendClip>,
+    /// Whether shapes turn normals, too.
+    pub has_normals: bool,
+    /// Whether shapes turn tangents, too.
+    pub has_tangents: bool,
+}
+
+/// One of these.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum PlayedClip<'a> {
     /// Shapes.
     Morphs(MorphClip<'a>),
     /// Joints.
     Joints(SkinnedClip<'a>),
+    /// Blend shapes with their clips.
+    Shapes(&'a BlendShapes),
 }

@@ -3,8 +3,8 @@
 use crate::wire::pb::edit_request::wrap::Landmark;
 use serde_json::Value;
 
-/// Reads a list of landmarks.
-pub(super) fn landmarks_from_json(text: &[u8]) -> Result<Vec<Landmark>, String> {
+/// Reads a list of landmarks. What is wrapped is the template, or in a transfer the source.
+pub(in crate::cli) fn landmarks_from_json(text: &[u8]) -> Result<Vec<Landmark>, String> {
     let value: Value = serde_json::from_slice(text).map_err(|e| e.to_string())?;
     let Value::Array(list) = value else {
         return Err("a list of {\"template\": PLACE, \"target\": PLACE} is needed".into());
@@ -21,17 +21,23 @@ fn landmark(value: &Value) -> Result<Landmark, String> {
     };
     if let Some(odd) = members
         .keys()
-        .find(|key| !["name", "template", "target"].contains(&key.as_str()))
+        .find(|key| !["name", "template", "source", "target"].contains(&key.as_str()))
     {
-        return Err(format!("\"{odd}\" is not known; allowed are name, template and target"));
+        return Err(format!(
+            "\"{odd}\" is not known; allowed are name, template (or source) and target"
+        ));
     }
+    let own = match members.contains_key("source") {
+        true => "source",
+        false => "template",
+    };
     let place = |key: &str| {
         let value = members.get(key).ok_or(format!("\"{key}\" is missing"))?;
         place(value).ok_or(format!(
             "\"{key}\" is {value}; a vertex number, counted from 0, or [x, y, z] is needed"
         ))
     };
-    let (own, target) = (place("template")?, place("target")?);
+    let (own, target) = (place(own)?, place("target")?);
     Ok(Landmark {
         name: members
             .get("name")

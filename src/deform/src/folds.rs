@@ -319,7 +319,7 @@ pub fn unfold_faces(
 }
 
 /// The same for vertices alone, of which some are held.
-fn unfold_vertices(
+pub fn unfold_vertices(
     mesh: &Mesh,
     surroundings: &OnceLock<FaceSurroundings>,
     held: &[bool],

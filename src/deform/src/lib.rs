@@ -57,6 +57,7 @@
 //! | `guides` | curves, lattices and cages whose shape says where vertices are wanted |
 //! | `thin_faces` | needles and caps, which follow the shape around them |
 //! | `folds` | faces that turned over, brought back where nothing forces them |
+//! | `surface_transfer` | shapes of one surface, carried to another with the same triangles |
 //! | `surface_faults` | folds and crossings of a shape, counted |
 
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
@@ -75,6 +76,7 @@ mod rotation;
 mod second_pass;
 mod solve;
 mod surface_faults;
+mod surface_transfer;
 mod thin_faces;
 mod volume_scales;
 
@@ -83,7 +85,7 @@ pub use error::Error;
 pub use fields::HarmonicFields;
 pub use first_pass::{LocalFrame, LocalRotation, PoseBlend, frames, pack_rotation};
 pub use fold_suspects::RestFaces;
-pub use folds::{FaceChanges, FaceSurroundings, unfold_faces, unfold_suspects};
+pub use folds::{FaceChanges, FaceSurroundings, unfold_faces, unfold_suspects, unfold_vertices};
 pub use guides::{BoundGuide, Guide, GuidePose, GuideProblem};
 pub use handles::{
     FreePartPolicy, HandleConstraint, HandleMotion, HandleSetup, HandleShares, HandleSystem, HoldTargets,
@@ -95,5 +97,6 @@ pub use pose::{
 pub use rotation::{Transform, blend_rotations, exp_rotation, fade, fit_rigid_motion, log_rotation};
 pub use second_pass::{SecondPassEquations, SolveState, TurnChange, TurnChangeKind};
 pub use surface_faults::{FreeSurface, SurfaceFaults};
+pub use surface_transfer::{CarriedMotion, SurfaceTransfer};
 pub use thin_faces::NeedlesAndCaps;
 pub use volume_scales::VolumeScales;

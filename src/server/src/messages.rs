@@ -2,7 +2,7 @@
 
 use pliant_asset::Format;
 use pliant_session::{Error, SessionConfig, SessionList};
-use pliant_wire::{page_token, pb};
+use pliant_wire::{TransferOrder, page_token, pb};
 use std::time::Duration;
 
 /// A request about one session.
@@ -34,8 +34,18 @@ names_session!(
     EditRequest,
     CarryRequest,
     CrossingsRequest,
-    MakeRigRequest
+    MakeRigRequest,
+    TransferRequest
 );
+
+/// Reads a request for a transfer.
+pub(super) fn transfer_order(request: &pb::TransferRequest) -> Result<TransferOrder, Error> {
+    let format = match request.output.as_str() {
+        "" => None,
+        name => Some(parse_format_name("output", name)?),
+    };
+    Ok(pliant_wire::transfer_order(request, format)?)
+}
 
 /// A session as its owner sees it, with the limits of the server.
 pub(super) fn described_session(mut session: pb::Session, config: &SessionConfig) -> pb::Session {

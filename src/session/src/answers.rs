@@ -125,6 +125,15 @@ pub struct ExportedModel {
     pub etag: String,
 }
 
+/// A model with what came to it from another one.
+#[derive(Debug, Clone)]
+pub struct TransferredModel {
+    /// Its files.
+    pub model: ExportedModel,
+    /// What came.
+    pub report: pb::TransferReport,
+}
+
 /// The current vertex buffer.
 #[derive(Debug, Clone)]
 pub struct PositionBuffer {

@@ -49,7 +49,7 @@ mod task;
 pub use animation::frame_outbox::{AnimationControl, AnimationReader};
 pub use answers::{
     AnimatedModel, AnimationAnswer, CallKey, CommittedPose, ExportedModel, KeyedAnswer, PositionBuffer, SessionList,
-    StreamAnswer, Tenant,
+    StreamAnswer, Tenant, TransferredModel,
 };
 pub use audit::audit_entry::{AuditEntry, AuditedAction, StoredAuditEntry};
 pub use calls::manager::Manager;

@@ -24,6 +24,7 @@ pub mod pb;
 mod poses;
 pub mod record;
 mod rig;
+mod transfer;
 mod vertex_targets;
 mod wrap;
 
@@ -48,3 +49,4 @@ pub use pliant_core::engine::Error;
 pub use poses::{PoseKey, StreamLimits, StreamRequest, stream_request};
 pub use poses::{change_poses, handle_pose, handle_pose_message, pose_changes};
 pub use rig::{motion_rig, rig_from_json, rig_message};
+pub use transfer::{TransferOrder, transfer_order, transfer_report};

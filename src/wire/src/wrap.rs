@@ -12,28 +12,30 @@ const MOST_LANDMARKS: usize = 4096;
 
 /// Reads a wrap; `session` is the model of the session that it names.
 pub(super) fn wrap_command(wrap: &pb::edit_request::Wrap, session: Option<&FileSet>) -> Result<WrapCommand, Error> {
-    if wrap.landmarks.len() > MOST_LANDMARKS {
-        let problem = format!(
-            "has {} landmarks, at most {MOST_LANDMARKS} are allowed",
-            wrap.landmarks.len()
-        );
-        return Err(Error::invalid("wrap.landmarks", problem));
-    }
-    let landmarks = wrap.landmarks.iter().enumerate().map(|(k, landmark)| {
-        let field = format!("wrap.landmarks[{k}]");
-        Ok(WrapLandmark {
-            own: place(landmark.own_vertex, &landmark.own_point, &field, "own")?,
-            target: place(landmark.target_vertex, &landmark.target_point, &field, "target")?,
-        })
-    });
     Ok(WrapCommand {
-        landmarks: landmarks.collect::<Result<_, Error>>()?,
+        landmarks: landmarks(&wrap.landmarks, "wrap.landmarks")?,
         mask: (wrap.mask.as_ref())
             .map(|mask| region(Some(mask), "wrap.mask"))
             .transpose()?,
         in_place: wrap.in_place,
         target: other_model(OtherSource::of_wrap(wrap), &wrap.format, "wrap", session)?,
     })
+}
+
+/// Reads the landmarks of a field.
+pub(super) fn landmarks(all: &[pb::edit_request::wrap::Landmark], field: &str) -> Result<Vec<WrapLandmark>, Error> {
+    if all.len() > MOST_LANDMARKS {
+        let problem = format!("has {} landmarks, at most {MOST_LANDMARKS} are allowed", all.len());
+        return Err(Error::invalid(field, problem));
+    }
+    let landmarks = all.iter().enumerate().map(|(k, landmark)| {
+        let field = format!("{field}[{k}]");
+        Ok(WrapLandmark {
+            own: place(landmark.own_vertex, &landmark.own_point, &field, "own")?,
+            target: place(landmark.target_vertex, &landmark.target_point, &field, "target")?,
+        })
+    });
+    landmarks.collect()
 }
 
 fn place(vertex: Option<u32>, point: &[f64], field: &str, side: &str) -> Result<LandmarkPlace, Error> {

@@ -45,6 +45,7 @@ from .poses import Pose, Targets
 from .server import LocalServer
 from .session import Session
 from .stream import Stream
+from .transfers import Transferred
 from .v1.pliant_pb2 import Quality
 
 try:
@@ -86,6 +87,7 @@ __all__ = [
     "Stream",
     "Targets",
     "TooLarge",
+    "Transferred",
     "Unauthenticated",
     "Unavailable",
     "Unimplemented",

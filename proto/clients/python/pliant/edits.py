@@ -306,7 +306,7 @@ def _fill(name: str, operation: Any, given: dict[str, Any], count: int | None) -
             operation.mask.CopyFrom(region(value, count))
         elif key == "landmarks":
             for own in value:
-                _landmark(operation.landmarks.add(), own)
+                landmark(operation.landmarks.add(), own)
         elif key in ("model", "file") and name in ("merge", "wrap"):
             operation.model = value if isinstance(value, bytes) else Path(value).read_bytes()
         elif key in operation.DESCRIPTOR.fields_by_name:
@@ -316,7 +316,7 @@ def _fill(name: str, operation: Any, given: dict[str, Any], count: int | None) -
             raise no_such_setting(key, (*operation.DESCRIPTOR.fields_by_name, *own))
 
 
-def _landmark(message: Any, given: Any) -> None:
+def landmark(message: Any, given: Any) -> None:
     """A pair (own, target), or a dict of the schema's fields."""
     if isinstance(given, Mapping):
         for key, value in given.items():

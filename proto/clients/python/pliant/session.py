@@ -48,6 +48,7 @@ class Session(Face, Declared):
     edit = blocking(aio.Session.edit)
     adopt = blocking(aio.Session.adopt)
     wrap = blocking(aio.Session.wrap)
+    transfer = blocking(aio.Session.transfer)
     undo = blocking(aio.Session.undo)
     redo = blocking(aio.Session.redo)
     history = blocking(aio.Session.history)

@@ -23,6 +23,7 @@ import {
   SessionSchema,
   SetHandlesRequestSchema,
   SolveRequestSchema,
+  TransferRequestSchema,
 } from "./gen/pliant/v1/pliant_pb.js";
 import type { AnimateOptions } from "./animation.js";
 import { Animation, formOf } from "./animation.js";
@@ -52,6 +53,9 @@ export type Edit = Omit<MessageInitShape<typeof EditRequestSchema>, "sessionId" 
 
 /** How a model is wrapped onto another one. */
 export type WrapOptions = Omit<MessageInitShape<typeof EditRequest_WrapSchema>, "target" | "$typeName">;
+
+/** How shapes come from another model. `shape`: that model in another shape. */
+export type TransferOptions = Omit<MessageInitShape<typeof TransferRequestSchema>, "source" | "sessionId" | "$typeName">;
 
 /** Fields of a handle that can be cleared. */
 export type HandleField = "constrains" | "stiffness" | "rigid" | "pose" | "falloff";
@@ -228,6 +232,17 @@ export class Session {
     const isFile = target instanceof Uint8Array;
     const source = isFile ? { case: "model" as const, value: target } : { case: "session" as const, value: target.session };
     return this.edit({ operation: { case: "wrap", value: { ...options, target: source } } }, call);
+  }
+
+  /**
+   * The model with the blend shapes of another one, a file or another session, as a GLB; with `shape`, that model in another shape, the
+   * model in the shape that it takes on by it. Nothing changes.
+   */
+  transfer(source: Uint8Array | { session: string }, options: TransferOptions = {}, call: CallOptions = {}): Promise<Blob> {
+    const isFile = source instanceof Uint8Array;
+    const from = isFile ? { case: "model" as const, value: source } : { case: "session" as const, value: source.session };
+    const json = jsonOf(TransferRequestSchema, { ...options, source: from });
+    return this.transport.read("POST", this.path("/transfer"), "*/*", { ...call, json }, blobOf);
   }
 
   /**

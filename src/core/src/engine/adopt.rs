@@ -9,15 +9,12 @@ use super::facts::DeformerWarning;
 use super::region_context::vertices_in_region;
 use super::settings::HeldBeside;
 use super::shape::ModelShape;
-use super::wrap::{SurfaceWrapping, WrapCommand, WrapReport};
+use super::wrap::{SurfaceWrapping, WRAPPED_BYTES, WrapCommand, WrapReport};
 use crate::edit::check_faces_at_points;
 use crate::exec::Exec;
 use crate::mesh::{BoundingBox, NONE, brief_number};
 use glam::{DVec3, Vec3};
 use std::sync::Arc;
-
-/// Bytes that a wrap takes for each vertex of both surfaces.
-const WRAPPED_BYTES: u64 = 2048;
 
 /// Places given in single precision are warned of where its steps are a larger share of the diagonal.
 const COARSE_STEPS: f64 = 1e-5;

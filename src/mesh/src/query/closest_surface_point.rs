@@ -54,11 +54,21 @@ impl TriangleBvh<'_> {
 
     /// Finds the closest point of the surface if it is not further away than `radius`.
     pub fn closest_point_within(&self, point: DVec3, radius: f64) -> Option<SurfacePoint> {
+        self.closest_point_where(point, radius, &|_| true)
+    }
+
+    /// As [`TriangleBvh::closest_point_within`], of those triangles that are wanted.
+    pub fn closest_point_where(
+        &self,
+        point: DVec3,
+        radius: f64,
+        wanted: &impl Fn(u32) -> bool,
+    ) -> Option<SurfacePoint> {
         let mut best: Option<(f64, u32, DVec3)> = None;
         self.visit_near(point, radius * radius, &mut |place: usize, limit: &mut f64| {
             let on = closest_point_on_triangle(point, self.corners(place));
             let found = (on.distance_squared(point), self.order[place]);
-            if found.0 <= *limit && best.is_none_or(|b| found < (b.0, b.1)) {
+            if found.0 <= *limit && best.is_none_or(|b| found < (b.0, b.1)) && wanted(found.1) {
                 *limit = found.0;
                 best = Some((found.0, found.1, on));
             }

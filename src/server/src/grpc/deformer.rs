@@ -9,7 +9,7 @@ use crate::redirect;
 use crate::state::ServerState;
 use bytes::Bytes;
 use futures::Stream;
-use pliant_session::Error;
+use pliant_session::{Error, ExportedModel};
 use pliant_wire::frames::{OutgoingResponse, encode};
 use pliant_wire::pb;
 use std::pin::Pin;
@@ -146,17 +146,7 @@ impl Deformer for Calls {
             name => Some(parse_format_name("format", name).map_err(status)?),
         };
         let exported = call.manager.export(&call.tenant, &call.message.session_id, format);
-        let exported = exported.await.map_err(status)?;
-        let mut followed = pliant_wire::followed_message(&exported.written.followed);
-        let mut warnings = pliant_wire::written_warnings(&exported.written);
-        let main = (String::new(), exported.written.main);
-        let files: Vec<_> = std::iter::once(main).chain(exported.written.companions).collect();
-        let all = files.into_iter().flat_map(|(uri, bytes)| chunks(uri, bytes.into()));
-        Ok(Response::new(sent(all.map(move |chunk| pb::Chunk {
-            followed: followed.take(),
-            warnings: std::mem::take(&mut warnings),
-            ..chunk
-        }))))
+        Ok(Response::new(sent(model_chunks(exported.await.map_err(status)?, None))))
     }
 
     async fn carry(&self, request: Request<pb::CarryRequest>) -> GrpcAnswer<pb::CarryResponse> {
@@ -185,6 +175,16 @@ impl Deformer for Calls {
         )
     }
 
+    type TransferStream = Sent<pb::Chunk>;
+
+    async fn transfer(&self, request: Request<pb::TransferRequest>) -> GrpcAnswer<Self::TransferStream> {
+        let call = Call::work(&self.state, request).await?.on_session(&self.state).await?;
+        let order = messages::transfer_order(&call.message).map_err(status)?;
+        let came = call.manager.transfer(&call.tenant, &call.message.session_id, order);
+        let came = came.await.map_err(status)?;
+        Ok(Response::new(sent(model_chunks(came.model, Some(came.report)))))
+    }
+
     type AnimateStream = Sent<pb::Frame>;
 
     async fn animate(&self, request: Request<Streaming<pb::AnimateRequest>>) -> GrpcAnswer<Self::AnimateStream> {
@@ -203,6 +203,24 @@ impl Deformer for Calls {
             longest,
         )))
     }
+}
+
+/// The files of a model in chunks; the first has what there is to say of them.
+fn model_chunks(
+    exported: ExportedModel,
+    mut transferred: Option<pb::TransferReport>,
+) -> impl Iterator<Item = pb::Chunk> + Send {
+    let mut followed = pliant_wire::followed_message(&exported.written.followed);
+    let mut warnings = pliant_wire::written_warnings(&exported.written);
+    let main = (String::new(), exported.written.main);
+    let files: Vec<_> = std::iter::once(main).chain(exported.written.companions).collect();
+    let all = files.into_iter().flat_map(|(uri, bytes)| chunks(uri, bytes.into()));
+    all.map(move |chunk| pb::Chunk {
+        followed: followed.take(),
+        warnings: std::mem::take(&mut warnings),
+        transferred: transferred.take(),
+        ..chunk
+    })
 }
 
 /// A file in chunks; an empty file is one empty chunk, so that its name arrives.

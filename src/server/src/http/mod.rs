@@ -67,6 +67,7 @@ fn routes() -> Router<ServerState> {
         .route("/v1/sessions/{id}/carry", post(sessions::carry))
         .route("/v1/sessions/{id}/crossings", post(sessions::crossings))
         .route("/v1/sessions/{id}/rig", post(sessions::rig))
+        .route("/v1/sessions/{id}/transfer", post(sessions::transfer))
         .route("/v1/sessions/{id}/animations", post(sessions::animate))
         .route("/v1/sessions/{id}/undo", post(sessions::undo))
         .route("/v1/sessions/{id}/redo", post(sessions::redo))

@@ -40,7 +40,7 @@ const OPENED_FORMAT: (&str, &str) = (
 );
 
 /// Every route but the pages for people.
-pub(crate) const ROUTES: [Route; 25] = [
+pub(crate) const ROUTES: [Route; 26] = [
     Route {
         method: "post",
         path: "/v1/sessions",
@@ -177,6 +177,14 @@ pub(crate) const ROUTES: [Route; 25] = [
         summary: "The rig that a recording, or a preset, drives the model by, and how sure its joints are.",
         takes: Some("MakeRigRequest"),
         gives: Some("MakeRigResponse"),
+        ..PLAIN
+    },
+    Route {
+        method: "post",
+        path: "/v1/sessions/{id}/transfer",
+        rpc: Some("Transfer"),
+        summary: "The model with blend shapes that come from another one, as a GLB; with shape, the model in another shape, as the other one takes it on. The header x-pliant-transferred counts what came.",
+        takes: Some("TransferRequest"),
         ..PLAIN
     },
     Route {

@@ -148,6 +148,34 @@ pub(super) async fn rig(call: SessionCall, request: Request) -> Result<Response,
     json(&call.manager.make_rig(&call.caller.tenant, &call.id, order).await?)
 }
 
+pub(super) async fn transfer(call: SessionCall, request: Request) -> Result<Response, Problem> {
+    let message: pb::TransferRequest = call.message(request).await?;
+    let order = messages::transfer_order(&message)?;
+    if order.command.format == Some(Format::GLTF) {
+        return Err(Error::invalid("output", "is \"gltf\", which has files beside it; ask for glb").into());
+    }
+    let came = call.manager.transfer(&call.caller.tenant, &call.id, order).await?;
+    let shapes = &came.report.shapes;
+    let flipped: u32 = shapes.iter().map(|shape| shape.flipped_triangles).sum();
+    let in_source: u32 = shapes.iter().map(|shape| shape.flipped_in_source).sum();
+    let mut told = format!(
+        "shapes={}, clips={}, flipped-triangles={flipped}/{in_source}",
+        shapes.len(),
+        came.report.clips
+    );
+    if let Some(on) = came.report.wrap.and_then(|wrap| wrap.to_target) {
+        told += &format!(", wrapped-p95={:.5}", on.p95);
+    }
+    let mut response = models::main_file(&call.id, None, came.model, &HeaderMap::new())?;
+    if let Ok(told) = HeaderValue::from_str(&told) {
+        response.headers_mut().insert(TRANSFERRED, told);
+    }
+    Ok(response)
+}
+
+/// The header that counts what came: triangles that are turned over, and those that are so in the source.
+const TRANSFERRED: HeaderName = HeaderName::from_static("x-pliant-transferred");
+
 const JSON: &str = "application/json";
 const BUFFER: &str = "application/octet-stream";
 

@@ -43,6 +43,10 @@ print(crossing.total)
 made = session.make_rig(preset="mixamo")
 print([joint.name for joint in made.joints if joint.doubtful])
 
+# transfer
+came = session.transfer(client.sample(), shape=session.export_bytes("glb")[""])
+print(came.report.shapes[0].largest_move)
+
 # deleteSessionsIdHandlesHandleId
 session.remove_handle("head")
 session.apply()

@@ -30,6 +30,8 @@ pub enum AuditedAction {
     Crossings,
     /// A rig was made of its model.
     Rig,
+    /// Something came to its model from another one, and was returned.
+    Transfer,
     /// It was driven by a clip.
     Animate,
     /// It was deleted.
@@ -53,6 +55,7 @@ impl AuditedAction {
             Self::Carry => "carry",
             Self::Crossings => "crossings",
             Self::Rig => "rig",
+            Self::Transfer => "transfer",
             Self::Animate => "animate",
             Self::Delete => "delete",
             Self::Expire => "expire",

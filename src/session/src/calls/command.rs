@@ -2,7 +2,7 @@
 
 use crate::animation::frame_outbox::FrameOutbox;
 use crate::animation::frame_outbox::PreparedAnimation;
-use crate::answers::{CommittedPose, ExportedModel};
+use crate::answers::{CommittedPose, ExportedModel, TransferredModel};
 use crate::calls::idempotency::{KeyClaim, RequestFingerprint, answer_of_another_call};
 use crate::capacity::compute_slots::WorkLane;
 use crate::capacity::work_watch::WorkKind;
@@ -11,7 +11,9 @@ use pliant_asset::Format;
 use pliant_core::engine::{Handle, HandlePose, HandlePoses, HandleSet};
 use pliant_exec::progress::CancelFlag;
 use pliant_wire::record::AnsweredFrame;
-use pliant_wire::{AnimateOrder, CarryOrder, CrossingsOrder, HandlePatch, MakeRigOrder, PoseCommit, SessionEdit, pb};
+use pliant_wire::{
+    AnimateOrder, CarryOrder, CrossingsOrder, HandlePatch, MakeRigOrder, PoseCommit, SessionEdit, TransferOrder, pb,
+};
 use prost::Message as _;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -97,6 +99,7 @@ session_calls! {
     Carry: CarryOrder => pb::CarryResponse;
     Crossings: CrossingsOrder => pb::CrossingsResponse;
     MakeRig: MakeRigOrder => pb::MakeRigResponse;
+    Transfer: TransferOrder => TransferredModel;
     Animate: PrepareAnimation => PreparedAnimation;
 }
 

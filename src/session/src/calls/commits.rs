@@ -162,7 +162,7 @@ impl Manager {
     }
 
     /// A session's model in its current shape.
-    async fn export_files(&self, tenant: &Tenant, id: &str, field: &str) -> Result<FileSet, Error> {
+    pub(super) async fn export_files(&self, tenant: &Tenant, id: &str, field: &str) -> Result<FileSet, Error> {
         let named = |e: Error| match (e.code, &e.owner) {
             (ErrorCode::NotFound, _) => Error {
                 field: Some(field.to_owned()),

@@ -4,7 +4,7 @@ use crate::animation::AnimationTask;
 use crate::animation::animation_task::RunningAnimation;
 use crate::animation::animation_task::gather_clip;
 use crate::animation::frame_outbox::{AnimationControl, AnimationReader, FrameOutbox, animation_ends};
-use crate::answers::{AnimatedModel, ExportedModel, PositionBuffer, Tenant, WorkOwner};
+use crate::answers::{AnimatedModel, ExportedModel, PositionBuffer, Tenant, TransferredModel, WorkOwner};
 use crate::audit::audit_entry::AuditedAction;
 use crate::calls::command::ExportModel;
 use crate::calls::manager::Manager;
@@ -15,7 +15,7 @@ use crate::stream::ends::{StreamInput, StreamOutput, stream_ends};
 use crate::stream::mailbox::Mailbox;
 use pliant_asset::Format;
 use pliant_wire::frames::{FrameOutput, f32_bytes};
-use pliant_wire::{AnimateOrder, CarryOrder, CrossingsOrder, MakeRigOrder, origin_of, pb};
+use pliant_wire::{AnimateOrder, CarryOrder, CrossingsOrder, MakeRigOrder, TransferOrder, origin_of, pb};
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
 use tracing::Instrument;
@@ -92,6 +92,29 @@ impl Manager {
         let made = self.call(&session, None, order).await?;
         self.note(tenant, AuditedAction::Rig, id).await;
         Ok(made)
+    }
+
+    /// The model in its current committed shape with what comes to it from another one. Nothing changes.
+    ///
+    /// # Cancel safety
+    /// Dropping the future stops the work.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`, also for a session to take it from; what is wrong with the other model; `FAILED_PRECONDITION` where it cannot be
+    /// wrapped onto this one.
+    pub async fn transfer(
+        &self,
+        tenant: &Tenant,
+        id: &str,
+        mut order: TransferOrder,
+    ) -> Result<TransferredModel, Error> {
+        let session = self.find(tenant, id).await?;
+        if let Some(other) = &order.other_session {
+            order.command.source.files = self.export_files(tenant, other, "session").await?;
+        }
+        let came = self.call(&session, None, order).await?;
+        self.note(tenant, AuditedAction::Transfer, id).await;
+        Ok(came)
     }
 
     /// The current committed positions as one buffer.

@@ -170,6 +170,8 @@ work_kinds! {
     Crossings "crossings",
     /// A rig is made.
     Rig "rig",
+    /// Blend shapes or a pose come from another model.
+    Transfer "transfer",
     /// An animation is prepared.
     Animate "animate",
     /// A frame of an animation is solved.

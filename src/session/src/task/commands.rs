@@ -2,7 +2,7 @@
 
 use crate::animation::frame_outbox::PreparedAnimation;
 use crate::animation::frame_outbox::StageReporter;
-use crate::answers::{CommittedPose, ExportedModel};
+use crate::answers::{CommittedPose, ExportedModel, TransferredModel};
 use crate::calls::command::{
     CallOrigin, ExportModel, HandleChange, HistoryDirection, PrepareAnimation, QueuedCall, RecallPose, SessionCommand,
     TaskCall, WorkOrder, with_pivots,
@@ -29,8 +29,8 @@ use pliant_mesh::CrossingPairs;
 use pliant_motion::bvh::read_bvh;
 use pliant_wire::record::LoggedCommit;
 use pliant_wire::{
-    CarryOrder, CrossingsOrder, DeformOptions, MakeRigOrder, PoseCommit, SessionEdit, made_rig_message, origin_of, pb,
-    written_warnings,
+    CarryOrder, CrossingsOrder, DeformOptions, MakeRigOrder, PoseCommit, SessionEdit, TransferOrder, made_rig_message,
+    origin_of, pb, transfer_report, written_warnings,
 };
 use std::sync::Arc;
 use std::time::Instant;
@@ -80,6 +80,7 @@ impl SessionTask {
             SessionCommand::Carry(call) => self.serve(*call).await,
             SessionCommand::Crossings(call) => self.serve(*call).await,
             SessionCommand::MakeRig(call) => self.serve(*call).await,
+            SessionCommand::Transfer(call) => self.serve(*call).await,
             SessionCommand::Animate(call) => self.serve(*call).await,
         }
     }
@@ -337,6 +338,38 @@ impl RunCall for MakeRigOrder {
             )
             .await?;
         made.map_err(|error| named_as_in_request(task.failure(error, &watch)))
+    }
+}
+
+impl RunCall for TransferOrder {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<TransferredModel, Error> {
+        let view = task.session.view();
+        let limit = task.shared.config.build;
+        let positions = Arc::clone(&view.positions);
+        let topology = task.history.current().topology.clone();
+        let files = [Some(&self.command.source), self.command.shape.as_ref()];
+        let files: u64 = files.into_iter().flatten().map(|other| other.files.total_bytes()).sum();
+        reserve_more(task, files, "the models of a transfer")?;
+        let (came, watch) = task
+            .compute(
+                origin.order(WorkKind::Transfer, WorkLane::Builds, limit),
+                move |deformer, work| {
+                    let exec = work.exec();
+                    deformer.go_to_topology(topology.as_ref(), &exec)?;
+                    let deformer = deformer.deformer("transfers")?;
+                    deformer.transfer(&positions, &self.command, &exec)
+                },
+            )
+            .await?;
+        let came = came.map_err(|e| task.failure(e, &watch))?;
+        Ok(TransferredModel {
+            report: transfer_report(&came.report),
+            model: ExportedModel {
+                etag: OpenSession::etag(&view, came.format.name()),
+                written: came.files,
+                format: came.format,
+            },
+        })
     }
 }
 

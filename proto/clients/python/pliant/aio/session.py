@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from typing_extensions import Unpack
 
-from .. import edits, errors, frames, model, preview
+from .. import edits, errors, frames, model, preview, transfers
 from ..animation import AnimateFields, Playing, Rig, order, recording
 from ..books import Books, Commit, Traffic, commits
 from ..carried import Carried, carried, model_request, points_request
@@ -301,6 +301,29 @@ class Session(Declared):
             raise TypeError("wrap: a file or a session to wrap onto is needed, and only one of them")
         source: dict[str, Any] = {"session": session} if session else {"model": target}
         return await self.edit(on=on, wrap={**source, **settings})  # type: ignore[typeddict-item]
+
+    async def transfer(
+        self,
+        /,
+        source: transfers.ModelLike | None = None,
+        *,
+        session: str = "",
+        shape: transfers.ModelLike | None = None,
+        landmarks: Sequence[Any] = (),
+        format: str = "",
+        shape_format: str = "",
+        output: str = "",
+    ) -> transfers.Transferred:
+        """The model with the blend shapes of `source`, a file or its bytes, or of another session; with `shape`, the source in
+        another shape, the model in the shape that it takes on by it. Nothing changes.
+
+        `landmarks` are pairs (own, source) of vertex numbers or points (x, y, z).
+        """
+        formats = (format, shape_format, output)
+        request = transfers.request(self.id, source, session, shape, landmarks, formats)
+        chunks = list(await self._calls.many("Transfer", request))
+        model.warn_of(chunks)
+        return transfers.transferred(chunks)
 
     async def undo(self) -> pb.Session:
         """Goes back by one commit; positions return bit for bit."""

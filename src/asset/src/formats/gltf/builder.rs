@@ -201,6 +201,26 @@ impl BufferBuilder {
         self.push_packed(&float_bytes(values), target, accessor)
     }
 
+    /// Adds displacements of `count` vertices of which those of `places` (ascending) are not zero; the number of their accessor.
+    pub(super) fn push_displacements(
+        &mut self,
+        count: usize,
+        places: &[u32],
+        values: &[[f32; 3]],
+        bounds: Option<(String, String)>,
+    ) -> usize {
+        let sparse = (!places.is_empty()).then(|| NewSparse {
+            count: places.len(),
+            indices: self.add_view(&index_bytes(places, usize::MAX).0, None),
+            values: self.add_view(&float_bytes(values.as_flattened()), None),
+        });
+        self.push_accessor(NewAccessor {
+            sparse,
+            bounds,
+            ..NewAccessor::of(5126, count, "VEC3")
+        })
+    }
+
     /// Adds an accessor with a view of its own, or finds one that is equal.
     fn add_accessor(
         &mut self,
@@ -461,13 +481,7 @@ impl<'a> GlbWriter<'a> {
         }
         self.make_room(16 * places.len())?;
         self.check(values, place)?;
-        let sparse = (!places.is_empty()).then(|| NewSparse {
-            count: places.len(),
-            indices: self.data.add_view(&index_bytes(places, usize::MAX).0, None),
-            values: self.data.add_view(&float_bytes(values.as_flattened()), None),
-        });
-        let accessor = NewAccessor::of(5126, count, "VEC3");
-        let accessor = self.data.push_accessor(NewAccessor { sparse, ..accessor });
+        let accessor = self.data.push_displacements(count, places, values, None);
         let bounds = [folded(values, 0.0, f32::min), folded(values, 0.0, f32::max)];
         self.bounds.insert(accessor, bounds);
         Ok(accessor)

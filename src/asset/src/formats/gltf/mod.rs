@@ -9,7 +9,8 @@
 //! Reading: [`container`] takes a GLB apart, [`document`] parses the sections that geometry needs out of the JSON
 //! [`text`], [`references`] checks references and ranges, [`buffers`] finds bytes ([`stored`]) and what URIs name (with [`compressed`]),
 //! [`accessors`] reads them, [`draco`] decodes Draco, [`scene`] places meshes and [`placement`] their vertices, [`read`]
-//! puts triangles together. A model owns its parsed document for life. [`moving`] reads nodes and clips, [`looks`] materials.
+//! puts triangles together. A model owns its parsed document for life. [`moving`] reads nodes and clips, [`blends`] blend shapes,
+//! [`looks`] materials.
 //!
 //! Writing: [`deformed`] computes what each attribute should become, [`sharing`] decides what must be copied (with
 //! [`used_bytes`]), [`patch`] edits text and bytes ([`patched`]), [`package`] makes the files and puts files beside a .gltf into a GLB.
@@ -41,11 +42,12 @@
 //! refuses values more than 128 levels deep, which `extras` may be.
 //!
 //! # Clips of solved frames
-//! [`played`] adds them to a rest GLB: as morph targets, or as joints that move every vertex.
+//! [`played`] adds them to a rest GLB: as morph targets, or as joints that move every vertex; and blend shapes of another model.
 //!
 //! Must not: open files, fetch URIs, know of solving.
 
 mod accessors;
+mod blends;
 mod buffers;
 mod builder;
 mod compressed;
@@ -90,7 +92,7 @@ use crate::edited::{EditedModel, PrimitiveRun};
 use crate::files::ReadWatch;
 use crate::look::SurfaceLook;
 use crate::model::is_same;
-use crate::moving_scene::{MovingScene, PlayedClip, PrimitiveShapes, SceneClip};
+use crate::moving_scene::{BlendShapes, MovingScene, PlayedClip, PrimitiveShapes, SceneClip};
 use crate::neutral::{NeutralModel, RunAttributes};
 use crate::vertex_attributes::AttributeKeys;
 use crate::{Error, FileSet, FollowedCounts, Format, Model, ModelNode, MorphTargetRule, WrittenFiles};
@@ -208,6 +210,10 @@ impl FormatCodec for GltfCodec {
 
     fn primitive_shapes(&self, model: &Model) -> Result<Option<Vec<PrimitiveShapes>>, Error> {
         moving::primitive_shapes(model, model.notes_or_refuse(model.format)?).map(Some)
+    }
+
+    fn blend_shapes(&self, model: &Model) -> Result<BlendShapes, Error> {
+        blends::read(model, model.notes_or_refuse(model.format)?)
     }
 
     fn scene_clip(&self, model: &Model, index: usize) -> Result<Option<SceneClip>, Error> {

@@ -302,7 +302,7 @@ fn channel_values(path: &str, values: &[f32], targets: usize) -> ChannelValues {
 
 /// How many numbers the morph targets of one model may have together: nodes may share meshes and targets their numbers, so that
 /// their size is not bounded by the file's.
-const MOST_TARGET_NUMBERS: u64 = 1 << 28;
+pub(super) const MOST_TARGET_NUMBERS: u64 = 1 << 28;
 
 /// The shapes of all primitives, in order.
 pub(super) fn primitive_shapes(model: &Model, notes: &GltfNotes) -> Result<Vec<PrimitiveShapes>, Error> {
@@ -336,7 +336,12 @@ fn displacements(target: usize) -> AttributeSlot {
     }
 }
 
-fn target_moves(doc: &GltfDocument<'_>, primitive: &MeshPrimitive, target: usize) -> Result<Vec<Vec3>, Error> {
+/// By how much a morph target moves the vertices of a primitive, as stored; none where it moves no positions.
+pub(super) fn target_moves(
+    doc: &GltfDocument<'_>,
+    primitive: &MeshPrimitive,
+    target: usize,
+) -> Result<Vec<Vec3>, Error> {
     let Some(accessor) = displacements(target).accessor(primitive) else {
         return Ok(Vec::new());
     };

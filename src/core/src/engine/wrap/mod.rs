@@ -21,5 +21,9 @@ mod two_way;
 mod visible;
 
 pub use command::{LandmarkPlace, WrapCommand, WrapLandmark};
+pub(super) use queries::answers;
 pub use report::{WrapDistances, WrapReport};
-pub(super) use surface::SurfaceWrapping;
+pub(super) use run::{WRAPPED_BYTES, wrap};
+pub(super) use surface::{LandmarkSurfaces, SurfaceWrapping, turn_outwards};
+pub(super) use target::barycentric;
+pub(super) use task::WrapTask;

@@ -15,7 +15,7 @@ const VISITS_PER_QUESTION: u64 = 4096;
 ///
 /// # Errors
 /// [`Error::Precondition`] where they look at too much, [`Error::Cancelled`].
-pub(super) fn answers<T: Send>(
+pub(in crate::engine) fn answers<T: Send>(
     tree: &TriangleBvh<'_>,
     count: usize,
     exec: &Exec<'_>,

@@ -13,11 +13,18 @@ use crate::exec::Exec;
 use crate::mesh::Mesh;
 use glam::DVec3;
 
+/// Bytes that a wrap takes for each vertex of both surfaces.
+pub(in crate::engine) const WRAPPED_BYTES: u64 = 2048;
+
 /// Wraps: answers where the template's vertices are then, and how well they lie.
 ///
 /// # Errors
 /// [`Error::Precondition`] where nothing of the target is seen, those of building a body, [`Error::Cancelled`].
-pub(super) fn wrap(task: &WrapTask<'_>, target: Mesh, exec: &Exec<'_>) -> Result<(Vec<DVec3>, WrapReport), Error> {
+pub(in crate::engine) fn wrap(
+    task: &WrapTask<'_>,
+    target: Mesh,
+    exec: &Exec<'_>,
+) -> Result<(Vec<DVec3>, WrapReport), Error> {
     exec.progress.report("place", 0.0);
     let template = task.template;
     let normals = smooth_normals(&template.positions, &template.triangles);

@@ -1,6 +1,6 @@
 //! From the surface of an edit to a wrap and back: vertices of files become points of surfaces.
 
-use super::command::{LandmarkPlace, WrapCommand};
+use super::command::{LandmarkPlace, WrapCommand, WrapLandmark};
 use super::report::WrapReport;
 use super::run::wrap;
 use super::target::barycentric;
@@ -42,15 +42,18 @@ impl SurfaceWrapping<'_> {
         } = self.surface;
         let unfit = |e: crate::mesh::Error| Error::Precondition(format!("the model cannot be wrapped: {e}"));
         let mut template = Mesh::of_points(positions, triangles, point_of.to_vec(), points as usize).map_err(unfit)?;
-        if signed_volume(&template.positions, &template.triangles) < 0.0 {
-            // Turned inside out, as some files are.
-            template.triangles.iter_mut().for_each(|t| t.swap(1, 2));
-        }
+        turn_outwards(&mut template);
         let mut masked = vec![false; points as usize];
         for (&point, is_masked) in point_of.iter().zip(self.masked).filter(|(p, _)| **p != NONE) {
             masked[point as usize] |= is_masked;
         }
-        let landmarks = self.landmarks(&template, exec)?;
+        let sides = LandmarkSurfaces {
+            surfaces: [&template, &self.target],
+            point_of: [point_of, &self.target.solver_from_render],
+            field: "wrap.landmarks",
+            sides: ["own", "target"],
+        };
+        let landmarks = sides.pairs(&self.command.landmarks, exec)?;
         let task = WrapTask {
             template: &template,
             masked: &masked,
@@ -66,13 +69,39 @@ impl SurfaceWrapping<'_> {
         }
         Ok((now, report))
     }
+}
 
-    fn landmarks(&self, template: &Mesh, exec: &Exec<'_>) -> Result<Vec<LandmarkPair>, Error> {
-        let target = &self.target;
-        let trees = [template, target].map(|mesh| TriangleBvh::build(&mesh.positions, &mesh.triangles, exec.pool));
+/// Winds the triangles of a surface outwards that is turned inside out, as some files are.
+pub(in crate::engine) fn turn_outwards(mesh: &mut Mesh) {
+    if signed_volume(&mesh.positions, &mesh.triangles) < 0.0 {
+        mesh.triangles.iter_mut().for_each(|t| t.swap(1, 2));
+    }
+}
+
+/// Two surfaces with places that belong together.
+pub(in crate::engine) struct LandmarkSurfaces<'a> {
+    /// What is wrapped, and what onto.
+    pub surfaces: [&'a Mesh; 2],
+    /// Of each the point of each vertex of its file.
+    pub point_of: [&'a [u32]; 2],
+    /// The field that lists the landmarks, and what the fields of both sides begin with.
+    pub field: &'a str,
+    /// See `field`.
+    pub sides: [&'a str; 2],
+}
+
+impl LandmarkSurfaces<'_> {
+    /// Finds the places of landmarks.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for those that are not there, [`Error::Cancelled`].
+    pub fn pairs(&self, landmarks: &[WrapLandmark], exec: &Exec<'_>) -> Result<Vec<LandmarkPair>, Error> {
+        let trees = self
+            .surfaces
+            .map(|mesh| TriangleBvh::build(&mesh.positions, &mesh.triangles, exec.pool));
         let on = |k: usize, place: LandmarkPlace| match place {
             LandmarkPlace::Vertex(vertex) => {
-                let of = [self.surface.point_of, &target.solver_from_render][k];
+                let of = self.point_of[k];
                 let point = of.get(vertex as usize).copied().filter(|p| *p != NONE);
                 point.map(|p| [(p, 1.0), (p, 0.0), (p, 0.0)]).ok_or_else(|| {
                     format!(
@@ -82,25 +111,28 @@ impl SurfaceWrapping<'_> {
                 })
             }
             LandmarkPlace::Point(place) => {
-                let mesh = [template, target][k];
+                let mesh = self.surfaces[k];
                 let found = trees[k].closest_point(place).ok_or("finds no surface")?;
                 let corners = mesh.triangles[found.triangle as usize];
                 let weights = barycentric(found.point, corners.map(|v| mesh.positions[v as usize]));
                 Ok([0, 1, 2].map(|c| (corners[c], weights[c])))
             }
         };
-        let each = self.command.landmarks.iter().enumerate().map(|(k, landmark)| {
-            let unfit = |side: &str, place: LandmarkPlace, problem: String| {
+        let each = landmarks.iter().enumerate().map(|(k, landmark)| {
+            let unfit = |side: usize, place: LandmarkPlace, problem: String| {
                 let what = match place {
                     LandmarkPlace::Vertex(_) => "Vertex",
                     LandmarkPlace::Point(_) => "Point",
                 };
-                Error::invalid(format!("wrap.landmarks[{k}].{side}{what}"), problem)
+                Error::invalid(format!("{}[{k}].{}{what}", self.field, self.sides[side]), problem)
             };
             exec.check()?;
-            let own = on(0, landmark.own).map_err(|e| unfit("own", landmark.own, e))?;
-            let there = on(1, landmark.target).map_err(|e| unfit("target", landmark.target, e))?;
-            let target = there.iter().map(|(v, w)| target.positions[*v as usize] * *w).sum();
+            let own = on(0, landmark.own).map_err(|e| unfit(0, landmark.own, e))?;
+            let there = on(1, landmark.target).map_err(|e| unfit(1, landmark.target, e))?;
+            let target = there
+                .iter()
+                .map(|(v, w)| self.surfaces[1].positions[*v as usize] * *w)
+                .sum();
             Ok(LandmarkPair { own, target })
         });
         each.collect()

@@ -122,7 +122,7 @@ impl TargetSurface {
 const ON_EDGE: f64 = 1e-6;
 
 /// The weights of the corners of a triangle at a point of it; those of the first corner for one without area.
-pub(super) fn barycentric(point: DVec3, [a, b, c]: [DVec3; 3]) -> [f64; 3] {
+pub(in crate::engine) fn barycentric(point: DVec3, [a, b, c]: [DVec3; 3]) -> [f64; 3] {
     let normal = (b - a).cross(c - a);
     let whole = normal.length_squared();
     if whole == 0.0 {

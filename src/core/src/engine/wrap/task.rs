@@ -5,7 +5,7 @@ use crate::mesh::Mesh;
 use glam::DVec3;
 
 /// A template and what it is to be wrapped onto.
-pub(super) struct WrapTask<'a> {
+pub(in crate::engine) struct WrapTask<'a> {
     /// The template's surface, welded.
     pub template: &'a Mesh,
     /// By vertex, whether the caller leaves it out.
@@ -19,7 +19,7 @@ pub(super) struct WrapTask<'a> {
 
 /// A landmark of both surfaces.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct LandmarkPair {
+pub(in crate::engine) struct LandmarkPair {
     /// Vertices of the template with weights.
     pub own: [(u32, f64); 3],
     /// Where it is on the target; while a fit runs, over the template.

@@ -1,4 +1,5 @@
-//! Clips of solved frames in a GLB: as morph targets ([`morphs`]), or as joints that move every vertex ([`joints`]).
+//! Clips of solved frames in a GLB: as morph targets ([`morphs`]), or as joints that move every vertex ([`joints`]); and blend shapes
+//! with their own clips ([`shapes`]), which leave skins as they are.
 //!
 //! The rest file stays as it is except for what is played: [`document`] tracks nodes and meshes that change and makes
 //! the files, puts nodes into scenes, decides which clips stay and writes the new clip; [`morphs`] computes rest positions
@@ -20,6 +21,7 @@ mod beside;
 mod document;
 mod joints;
 mod morphs;
+mod shapes;
 
 use super::read::GltfNotes;
 use crate::moving_scene::PlayedClip;
@@ -38,6 +40,7 @@ pub(super) fn write(
     let sections = match clip {
         PlayedClip::Morphs(clip) => morphs::add_clip(&mut played, rest, notes, vertices, clip)?,
         PlayedClip::Joints(clip) => joints::add_clip(&mut played, rest, notes, vertices, clip)?,
+        PlayedClip::Shapes(shapes) => shapes::add_shapes(&mut played, rest, notes, vertices, shapes)?,
     };
     played.finish(notes.files(rest), sections)
 }
