@@ -156,6 +156,8 @@ pub fn run_and_write(
     let mut warnings = facts.warnings;
     warnings.extend(large_faces_warning(&quality));
     warnings.extend(deformer.pose_warnings(&poses).iter().map(warning_message));
+    let contact = deformer.contact_warnings(&positions, &options.solve, &exec)?;
+    warnings.extend(contact.iter().map(warning_message));
     warnings.extend((idle.iter().map(|id| idle_handle_warning(id))).chain(warnings_of_files(&written, &carried)));
     let report = pb::Report {
         passengers,

@@ -98,6 +98,22 @@ pub struct SolveSettings {
     pub fits: FitOrder,
     /// What a commit does with its fits.
     pub recipe: Recipe,
+    /// What a commit does about surfaces that the pose pushes through each other.
+    pub contact: Contact,
+}
+
+/// What a commit does about surfaces that the pose pushes through each other.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum Contact {
+    /// They cross.
+    #[default]
+    Ignored,
+    /// They are moved apart as far as handles let them, so that fewer triangles cross, or the shape stays as it is.
+    Avoided {
+        /// What surfaces that have crossed keep from each other, model units; less where they were nearer at rest. `None`: 0.1 of the
+        /// median edge around where they cross.
+        clearance: Option<f64>,
+    },
 }
 
 /// What a commit does with fitted rotations, as it grew: each does what those before it did. A record names the one that its
@@ -125,6 +141,7 @@ impl Default for SolveSettings {
             method: Method::default(),
             fits: FitOrder::default(),
             recipe: Recipe::default(),
+            contact: Contact::default(),
         }
     }
 }
@@ -158,6 +175,7 @@ pub(super) const EDITED_AT_REST: SolveSettings = SolveSettings {
     method: Method::Harmonic,
     fits: FitOrder::GraphAlone,
     recipe: Recipe::AsTheyCome,
+    contact: Contact::Ignored,
 };
 
 /// How a solve treats what was solved before.

@@ -4,8 +4,8 @@
 //! the short forms.
 
 use crate::deform::{
-    DeformableBody, FirstPass, HandleSystem, PoseRequest, Quality, SolutionExtent, SolveStart, SolveUpdate, Transform,
-    fit_rigid_motion,
+    ContactSurface, DeformableBody, FirstPass, HandleSystem, PoseRequest, Quality, SolutionExtent, SolveStart,
+    SolveUpdate, Transform, fit_rigid_motion,
 };
 use crate::engine::Deformer;
 use crate::engine::buckles::BuckleWatch;
@@ -15,7 +15,7 @@ use crate::engine::error::Error;
 use crate::engine::handle::{HandlePose, HandlePoses};
 use crate::engine::resolved_handles::check_free_rotation;
 use crate::engine::riding::RidingVertices;
-use crate::engine::settings::{COMMIT_REFINE, Recipe, SolveMode, SolveSettings};
+use crate::engine::settings::{COMMIT_REFINE, Contact, Recipe, SolveMode, SolveSettings};
 use crate::engine::shape::{ModelShape, ShapeId};
 use crate::exec::Exec;
 use crate::mesh::carry::CarrySurface;
@@ -186,6 +186,15 @@ impl Deformer {
             if settings.watches_fits() {
                 solved = watch.unbuckled(solved, state)?;
             }
+        }
+        if let (SolveMode::Commit, Contact::Avoided { clearance }) = (mode, settings.contact) {
+            exec.progress.begin_pass("contact");
+            let surface = ContactSurface {
+                mesh: &derived.mesh,
+                held: handle_system.given(),
+                clearance,
+            };
+            surface.part(&mut solved.positions, exec)?;
         }
         exec.progress.begin_pass("render");
         let positions = Arc::new(shape.render(&solved.positions, &solved.frames, &transforms));

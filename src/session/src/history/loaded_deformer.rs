@@ -246,7 +246,9 @@ impl LoadedDeformer {
         if let Some(deformer) = self.engine.deformer() {
             let quality = deformer.measure(&solved.positions, options.output.self_intersections, exec)?;
             frame.header.quality = Some(quality_message(&quality));
-            warnings = deformer.pose_warnings(&poses).iter().map(warning_message).collect();
+            let contact = deformer.contact_warnings(&solved.positions, &options.solve, exec)?;
+            let all = deformer.pose_warnings(&poses).into_iter().chain(contact);
+            warnings = all.map(|warning| warning_message(&warning)).collect();
         }
         frame.header.solve_ms = ms_of(solve_time);
         Ok(PoseAnswer {
