@@ -3,6 +3,8 @@
 
 use super::find::{Condition, ContactFinder};
 use glam::{DMat3, DVec3};
+use pliant_exec::Exec;
+use pliant_exec::progress::Cancelled;
 
 /// How often the conditions are chosen that hold with equality.
 const CHOICES: usize = 3;
@@ -11,9 +13,9 @@ const STEPS: usize = 40;
 /// They end where the residual has fallen to this, squared.
 const ENOUGH: f64 = 1e-6;
 /// What is asked for at a time, median edges.
-const STEP: f64 = 0.6;
+const STEP: f64 = 1.2;
 /// How far a vertex goes at a time, median edges.
-const FARTHEST: f64 = 1.0;
+const FARTHEST: f64 = 2.0;
 
 /// The displacement problem of one round.
 pub(super) struct DisplacementProblem<'a> {
@@ -38,20 +40,22 @@ impl<'a> DisplacementProblem<'a> {
     }
 
     /// Changes `moved`, by free node, so that it meets the conditions better.
-    pub fn improve(&self, moved: &mut Vec<DVec3>) {
+    ///
+    /// # Errors
+    /// [`Cancelled`].
+    pub fn improve(&self, moved: &mut [DVec3], exec: &Exec<'_>) -> Result<(), Cancelled> {
         let edge = self.finder.region.edge;
         let mut conditions = self.finder.conditions();
         for condition in &mut conditions {
-            let most = condition.gap.max(0.0).max(condition.gap + STEP * edge);
-            condition.least = (condition.least + condition.shift).min(most.min(condition.gap + STEP * edge));
+            condition.least = (condition.least + condition.shift).min(condition.gap + STEP * edge);
         }
-        let before = moved.clone();
+        let before = moved.to_vec();
         for _ in 0..CHOICES {
             let active: Vec<Condition> = (conditions.iter())
                 .filter(|condition| self.base_gap(condition) + self.gain(condition, moved) < condition.least)
                 .copied()
                 .collect();
-            self.solve(&active, moved);
+            self.solve(&active, moved, exec)?;
         }
         let far = moved
             .iter()
@@ -63,6 +67,7 @@ impl<'a> DisplacementProblem<'a> {
                 *now = then.lerp(*now, FARTHEST * edge / far);
             }
         }
+        Ok(())
     }
 
     fn base_gap(&self, condition: &Condition) -> f64 {
@@ -169,7 +174,7 @@ impl<'a> DisplacementProblem<'a> {
     }
 
     /// Goes to the displacement that the equations of some conditions have.
-    fn solve(&self, active: &[Condition], moved: &mut [DVec3]) {
+    fn solve(&self, active: &[Condition], moved: &mut [DVec3], exec: &Exec<'_>) -> Result<(), Cancelled> {
         let free = moved.len();
         let dot = |a: &[DVec3], b: &[DVec3]| a.iter().zip(b).map(|(a, b)| a.dot(*b)).sum::<f64>();
         let blocks = self.blocks(active);
@@ -183,8 +188,9 @@ impl<'a> DisplacementProblem<'a> {
         let mut rz = dot(&residual, &z);
         let enough = ENOUGH * rz;
         for _ in 0..STEPS {
+            exec.check()?;
             if rz <= enough || !rz.is_finite() {
-                return;
+                break;
             }
             self.apply(active, &way, &mut bend, &mut image);
             let step = rz / dot(&way, &image);
@@ -199,5 +205,6 @@ impl<'a> DisplacementProblem<'a> {
             }
             rz = after;
         }
+        Ok(())
     }
 }

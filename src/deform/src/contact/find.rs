@@ -6,9 +6,9 @@ use pliant_mesh::Mesh;
 use pliant_mesh::query::closest_point::closest_weights_on_triangle;
 use std::collections::BTreeMap;
 
-/// A condition is kept while surfaces are nearer than so many clearances,
-const KEPT: f64 = 3.0;
-/// and its two places not further aside of each other than this, median edges.
+/// A condition is kept while surfaces are nearer than this, median edges,
+const KEPT: f64 = 1.0;
+/// and its two places not further aside of each other than this.
 const ASIDE: f64 = 1.0;
 /// By what part of what is missing a condition asks for more in the next round,
 const RATE: f64 = 0.5;
@@ -106,7 +106,7 @@ impl ContactFinder<'_> {
                 continue;
             };
             now.shift = (before.shift + RATE * (now.least - now.gap)).clamp(0.0, MOST_SHIFT * self.region.edge);
-            let is_near = now.gap <= KEPT * self.clearance || now.shift > 0.0;
+            let is_near = now.gap <= (KEPT * self.region.edge).max(self.clearance) || now.shift > 0.0;
             if is_near && self.aside(&now, at) <= ASIDE * self.region.edge {
                 self.knowledge.known.insert(meeting, now);
             }

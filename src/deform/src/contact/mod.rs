@@ -25,10 +25,10 @@ use std::sync::{Mutex, PoisonError};
 const CLEARANCE: f64 = 0.1;
 /// Pairs that are worked on; a shape with more of them has collapsed, and stays as it is.
 const MOST_PAIRS: usize = 20_000;
+/// With so many times the pairs of the beginning a style is given up.
+const LOST: usize = 4;
 /// Rounds of one style.
 const ROUNDS: usize = 20;
-/// A style ends early after so many rounds without fewer pairs.
-const PATIENCE: usize = 8;
 /// How surfaces are parted, one after the other until nothing crosses. Each goes on from the best shape of those before.
 const STYLES: [PartingStyle; 3] = [
     PartingStyle {
@@ -80,6 +80,12 @@ impl ContactSurface<'_> {
         let region = ContactRegion::around(self.mesh, &self.held[..vertices], &before);
         let clearance = self.clearance.unwrap_or(CLEARANCE * region.edge);
         let rest_bend = rest_bend(self.mesh);
+        let strain = self.strain(base);
+        // The more pairs are parted, the more lengths of edges may change: up to twice as far as before, on the mean.
+        let is_worth = |left: usize, at: &[DVec3]| {
+            let parted = 1.0 - left as f64 / before.len() as f64;
+            self.strain(at) <= (1.0 + parted * parted) * strain
+        };
         let mut best = (before.len(), vec![DVec3::ZERO; region.free], Knowledge::default());
         for style in STYLES {
             if best.0 == 0 {
@@ -96,18 +102,15 @@ impl ContactSurface<'_> {
             };
             let mut moved = best.1.clone();
             let mut crossings = self.crossings(&at, Some(&region.is_near), exec)?;
-            let mut since = 0;
             for _ in 0..ROUNDS {
                 exec.check()?;
                 finder.look(&displaced(base, &region, &moved), &crossings);
-                DisplacementProblem::new(&finder, base, &rest_bend).improve(&mut moved);
+                DisplacementProblem::new(&finder, base, &rest_bend).improve(&mut moved, exec)?;
                 crossings = self.crossings(&displaced(base, &region, &moved), Some(&region.is_near), exec)?;
-                since += 1;
-                if crossings.len() < best.0 {
+                if crossings.len() < best.0 && is_worth(crossings.len(), &displaced(base, &region, &moved)) {
                     best = (crossings.len(), moved.clone(), finder.knowledge.clone());
-                    since = 0;
                 }
-                if best.0 == 0 || since == PATIENCE || crossings.len() > MOST_PAIRS {
+                if best.0 == 0 || crossings.len() > LOST * before.len() {
                     break;
                 }
             }
@@ -117,6 +120,22 @@ impl ContactSurface<'_> {
             positions[..vertices].copy_from_slice(&parted);
         }
         Ok(())
+    }
+
+    /// How far edges are from their rest lengths, relative to these, on the mean.
+    fn strain(&self, at: &[DVec3]) -> f64 {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for triangle in &self.mesh.triangles {
+            for k in 0..3 {
+                let [a, b] = [triangle[k], triangle[(k + 1) % 3]].map(|v| v as usize);
+                let rest = self.mesh.positions[a].distance(self.mesh.positions[b]);
+                if rest > 0.0 {
+                    sum += (at[a].distance(at[b]) / rest - 1.0).abs();
+                    count += 1.0;
+                }
+            }
+        }
+        sum / f64::max(count, 1.0)
     }
 
     /// Pairs of faces that cross, did not at rest, and are not held wholly; ascending. With `is_asked` those pairs alone of which one face is asked

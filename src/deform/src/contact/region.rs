@@ -4,7 +4,7 @@ use glam::DVec3;
 use pliant_mesh::{Mesh, NONE, sorted_set};
 
 /// How far the region reaches around triangles that cross, in rings of faces.
-const RINGS: usize = 12;
+const RINGS: usize = 16;
 
 /// The region. Its first vertices are free; after them come those around, which stay.
 pub(super) struct ContactRegion {
