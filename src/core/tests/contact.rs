@@ -86,7 +86,7 @@ fn a_bent_tube_crosses_itself_without_and_not_with() {
             ..SolveSettings::default()
         };
         let warnings = deformer
-            .contact_warnings(&with.positions, &settings, &exec)
+            .shape_warnings(&with.positions, &deformer.initial_poses(), &settings, &exec)
             .expect("no cancel");
         let left = warnings.iter().filter(|w| !w.message.contains("handles hold wholly"));
         assert_eq!(left.count(), 0, "{warnings:?}");
@@ -144,7 +144,7 @@ fn what_handles_push_through_each_other_is_told() {
         ..SolveSettings::default()
     };
     let warnings = deformer
-        .contact_warnings(&with.positions, &settings, &exec)
+        .shape_warnings(&with.positions, &deformer.initial_poses(), &settings, &exec)
         .expect("no cancel");
     let about_held = warnings
         .iter()

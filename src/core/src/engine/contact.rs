@@ -1,8 +1,9 @@
-//! What is told of surfaces that a commit could not keep from crossing.
+//! Warnings of surfaces that a commit could not keep from crossing.
 
 use super::Deformer;
 use super::error::Error;
 use super::facts::DeformerWarning;
+use super::handle::HandlePoses;
 use super::settings::{Contact, SolveSettings};
 use crate::exec::Exec;
 use crate::mesh::PairKind;
@@ -14,12 +15,24 @@ const MOST_SEEN: usize = 10_000;
 const MOST_NAMED: usize = 8;
 
 impl Deformer {
-    /// What a user should know of a shape (one position per render vertex) that was solved with `settings`: which crossings are left where
-    /// none were wanted.
+    /// What a user should know of `poses` and of their shape (one position per render vertex), solved with `settings`: as
+    /// [`Deformer::pose_warnings`], and which crossings are left where none were wanted.
     ///
     /// # Errors
     /// [`Error::Cancelled`] when `progress` says so.
-    pub fn contact_warnings(
+    pub fn shape_warnings(
+        &self,
+        positions: &[DVec3],
+        poses: &HandlePoses,
+        settings: &SolveSettings,
+        exec: &Exec<'_>,
+    ) -> Result<Vec<DeformerWarning>, Error> {
+        let mut warnings = self.pose_warnings(poses);
+        warnings.extend(self.contact_warnings(positions, settings, exec)?);
+        Ok(warnings)
+    }
+
+    fn contact_warnings(
         &self,
         positions: &[DVec3],
         settings: &SolveSettings,
@@ -39,7 +52,7 @@ impl Deformer {
             (count > 0)
                 .then(|| DeformerWarning::new("contact-left", format!("{count} pairs of triangles {problem}"), place))
         };
-        let left = "cross that did not at rest; contact AVOID found no shape without";
+        let left = "cross that did not in the rest pose; contact AVOID found no shape without";
         let held = "cross that handles hold wholly; move the handles apart, or let them hold less";
         let all = [
             warning(PairKind::New, found.new, left),

@@ -110,8 +110,8 @@ pub enum Contact {
     Ignored,
     /// They are moved apart as far as handles let them, so that fewer triangles cross, or the shape stays as it is.
     Avoided {
-        /// What surfaces that have crossed keep from each other, model units; less where they were nearer at rest. `None`: 0.1 of the
-        /// median edge around where they cross.
+        /// What surfaces that have crossed keep from each other, model units; less where they were nearer in the rest pose. `None`: 0.1
+        /// of the median edge around where they cross.
         clearance: Option<f64>,
     },
 }

@@ -4,8 +4,8 @@
 //! the short forms.
 
 use crate::deform::{
-    ContactSurface, DeformableBody, FirstPass, HandleSystem, PoseRequest, Quality, SolutionExtent, SolveStart,
-    SolveUpdate, Transform, fit_rigid_motion,
+    DeformableBody, FirstPass, HandleSystem, PoseRequest, Quality, SolutionExtent, SolveStart, SolveUpdate, Transform,
+    fit_rigid_motion,
 };
 use crate::engine::Deformer;
 use crate::engine::buckles::BuckleWatch;
@@ -58,11 +58,15 @@ impl Deformer {
             .ok_or_else(|| Error::Precondition("no handles are set; set them before deforming".into()))
     }
 
-    /// Refuses a method that the handles in force do not go with.
+    /// Refuses a method that the handles in force, or what is asked for beside it, do not go with.
     fn check_method(&self, settings: &SolveSettings) -> Result<(), Error> {
         if settings.method == Method::SpatialRbf && self.handles().handles.iter().any(|h| h.targets.is_some()) {
             let problem = "is SPATIAL_RBF, which cannot do with handles that have targets; GRAPH is allowed";
             return Err(Error::invalid("options.method", problem));
+        }
+        if settings.method == Method::SpatialRbf && settings.contact != Contact::Ignored {
+            let problem = "is AVOID, which does not go with method SPATIAL_RBF; IGNORE is allowed";
+            return Err(Error::invalid("options.contact", problem));
         }
         Ok(())
     }
@@ -182,19 +186,7 @@ impl Deformer {
             .settle(body, handle_system, &solved.frames, &mut solved.positions, exec.pool);
         if mode == SolveMode::Commit && settings.method != Method::SpatialRbf {
             let watch = BuckleWatch::of(derived, handle_system, request, exec);
-            watch.unfold(&mut solved);
-            if settings.watches_fits() {
-                solved = watch.unbuckled(solved, state)?;
-            }
-        }
-        if let (SolveMode::Commit, Contact::Avoided { clearance }) = (mode, settings.contact) {
-            exec.progress.begin_pass("contact");
-            let surface = ContactSurface {
-                mesh: &derived.mesh,
-                held: handle_system.given(),
-                clearance,
-            };
-            surface.part(&mut solved.positions, exec)?;
+            solved = watch.finished_commit(solved, settings, state)?;
         }
         exec.progress.begin_pass("render");
         let positions = Arc::new(shape.render(&solved.positions, &solved.frames, &transforms));

@@ -29,7 +29,7 @@ pub(super) struct DisplacementProblem<'a> {
 }
 
 impl<'a> DisplacementProblem<'a> {
-    /// Displaces `base`; flat is as far from a plane as the vertices were at rest.
+    /// Displaces `base`; flat is as far from a plane as the vertices were in the rest pose.
     pub fn new(finder: &'a ContactFinder<'a>, base: &'a [DVec3], rest_bend: &'a [f64]) -> Self {
         Self {
             finder,

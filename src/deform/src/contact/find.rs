@@ -16,7 +16,7 @@ const RATE: f64 = 0.5;
 const MOST_SHIFT: f64 = 0.6;
 /// A vertex lies behind a face when it is not further aside of it than this, median edges.
 const BEHIND: f64 = 0.5;
-/// Surfaces that were nearer at rest keep this part of that.
+/// Surfaces that were nearer in the rest pose keep this part of that.
 const REST_PART: f64 = 0.5;
 /// How much flatter a crumpled place gets each time that it is met, and its neighbours,
 const FLATTER: [f64; 2] = [1.0, 0.3];
@@ -25,7 +25,7 @@ const FLATTEST: f64 = 8.0;
 
 /// What a condition is about, by which it is known again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum Meeting {
+enum Encounter {
     /// A vertex and a face.
     Face(u32, u32),
     /// Two edges.
@@ -69,7 +69,7 @@ pub(super) struct PartingStyle {
 /// What was found so far.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Knowledge {
-    known: BTreeMap<Meeting, Condition>,
+    known: BTreeMap<Encounter, Condition>,
     /// By solver vertex of a crumpled place, how far it is to be flattened.
     flat: BTreeMap<u32, f64>,
 }
@@ -98,17 +98,17 @@ impl ContactFinder<'_> {
 
     /// Looks at those that are known again, in another shape, and adds those of pairs of faces that cross.
     pub fn look(&mut self, at: &[DVec3], crossings: &[[u32; 2]]) {
-        for (meeting, before) in std::mem::take(&mut self.knowledge.known) {
+        for (encounter, before) in std::mem::take(&mut self.knowledge.known) {
             let Some(mut now) = self
-                .condition(meeting, at)
-                .filter(|_| !matches!(meeting, Meeting::Faces(_)))
+                .condition(encounter, at)
+                .filter(|_| !matches!(encounter, Encounter::Faces(_)))
             else {
                 continue;
             };
             now.shift = (before.shift + RATE * (now.least - now.gap)).clamp(0.0, MOST_SHIFT * self.region.edge);
             let is_near = now.gap <= (KEPT * self.region.edge).max(self.clearance) || now.shift > 0.0;
             if is_near && self.aside(&now, at) <= ASIDE * self.region.edge {
-                self.knowledge.known.insert(meeting, now);
+                self.knowledge.known.insert(encounter, now);
             }
         }
         for pair in crossings {
@@ -132,7 +132,7 @@ impl ContactFinder<'_> {
         let through = [0, 1].map(|side| edges_through(corners[side], places[side], places[1 - side]));
         let mut is_met = false;
         if let (Some(a), Some(b)) = (through[0].first(), through[1].first()) {
-            is_met = self.add(Meeting::Edges(*a, *b), at, |_, condition| {
+            is_met = self.add(Encounter::Edges(*a, *b), at, |_, condition| {
                 condition.gap < condition.least
             });
         } else {
@@ -141,22 +141,22 @@ impl ContactFinder<'_> {
             };
             for side in (0..2).filter(|side| !through[*side].is_empty()) {
                 for v in corners[side] {
-                    is_met |= self.add(Meeting::Face(v, pair[1 - side]), at, behind);
+                    is_met |= self.add(Encounter::Face(v, pair[1 - side]), at, behind);
                 }
             }
         }
         if !is_met {
-            self.add(Meeting::Faces(pair), at, |_, _| true);
+            self.add(Encounter::Faces(pair), at, |_, _| true);
         }
     }
 
     /// Adds one that is new, if it `holds`; whether it is known then.
-    fn add(&mut self, meeting: Meeting, at: &[DVec3], holds: impl Fn(&Self, &Condition) -> bool) -> bool {
-        if self.knowledge.known.contains_key(&meeting) {
+    fn add(&mut self, encounter: Encounter, at: &[DVec3], holds: impl Fn(&Self, &Condition) -> bool) -> bool {
+        if self.knowledge.known.contains_key(&encounter) {
             return true;
         }
-        match self.condition(meeting, at).filter(|condition| holds(self, condition)) {
-            Some(condition) => self.knowledge.known.insert(meeting, condition).is_none(),
+        match self.condition(encounter, at).filter(|condition| holds(self, condition)) {
+            Some(condition) => self.knowledge.known.insert(encounter, condition).is_none(),
             None => false,
         }
     }
@@ -175,11 +175,11 @@ impl ContactFinder<'_> {
         }
     }
 
-    /// The condition of a meeting in a shape; `None` where it has no direction.
-    fn condition(&self, meeting: Meeting, at: &[DVec3]) -> Option<Condition> {
+    /// The condition of a encounter in a shape; `None` where it has no direction.
+    fn condition(&self, encounter: Encounter, at: &[DVec3]) -> Option<Condition> {
         let normal = |v: u32| self.normals[v as usize];
-        match meeting {
-            Meeting::Face(v, t) => {
+        match encounter {
+            Encounter::Face(v, t) => {
                 let c = self.mesh.triangles[t as usize];
                 if c.contains(&v) {
                     return None;
@@ -196,7 +196,7 @@ impl ContactFinder<'_> {
                 ];
                 self.filled(nodes, [normal(v), other], at)
             }
-            Meeting::Edges(a, b) => {
+            Encounter::Edges(a, b) => {
                 if a.iter().any(|v| b.contains(v)) {
                     return None;
                 }
@@ -213,7 +213,7 @@ impl ContactFinder<'_> {
                 ];
                 self.filled(nodes, [own, other], at)
             }
-            Meeting::Faces(pair) => {
+            Encounter::Faces(pair) => {
                 let [a, b] = pair.map(|t| self.mesh.triangles[t as usize]);
                 let third = 1.0 / 3.0;
                 let nodes = [

@@ -1,12 +1,12 @@
 //! Surfaces that a pose has pushed through each other, moved apart.
 //!
-//! Where triangles cross that did not at rest, each pair becomes a condition on the vertices around it ([`find`]): a vertex lies before
-//! a face, or an edge beside an edge, by the clearance, along the bisector of the two sides' normals. The surface around
-//! ([`region`]) is displaced as smoothly as these allow ([`displace`]), half of each on either side, all on one where handles hold the other. The
-//! result is looked at, conditions that have come up are added, and so on. What handles hold stays. No pose is solved again.
+//! Where triangles cross that did not in the rest pose, each pair becomes a condition on the vertices around it ([`find`]): a vertex
+//! lies before a face, or an edge beside an edge, by the clearance, along the bisector of the two sides' normals. The surface around
+//! ([`region`]) is displaced as smoothly as these allow ([`displace`]), half of each on either side, all on one where handles hold the
+//! other. The result is looked at, conditions that have come up are added, and so on. What handles hold stays. No pose is solved again.
 //!
-//! The displacement is that of cloth that is untangled: the outsides of the two surfaces say where each of them belongs, as for a pair
-//! that is not deep in. Places so crumpled that faces cross others of the same direction are flattened instead.
+//! The outsides of the two surfaces say where each of them belongs. Places so crumpled that faces cross others of the same direction are
+//! flattened instead.
 
 mod displace;
 mod find;
@@ -66,7 +66,7 @@ pub struct ContactSurface<'a> {
 
 impl ContactSurface<'_> {
     /// Moves vertices among `positions` (of all graph nodes, those of the surface first) so that fewer pairs of triangles cross that do
-    /// not at rest, pairs that are held apart. Where it cannot, they keep their bits.
+    /// not in the rest pose, pairs that are held apart. Where it cannot, they keep their bits.
     ///
     /// # Errors
     /// [`Cancelled`].
@@ -138,8 +138,8 @@ impl ContactSurface<'_> {
         sum / f64::max(count, 1.0)
     }
 
-    /// Pairs of faces that cross, did not at rest, and are not held wholly; ascending. With `is_asked` those pairs alone of which one face is asked
-    /// for.
+    /// Pairs of faces that cross, did not in the rest pose, and are not held wholly; ascending. With `is_asked` those pairs alone of
+    /// which one face is asked for.
     fn crossings(&self, at: &[DVec3], is_asked: Option<&[bool]>, exec: &Exec<'_>) -> Result<Vec<[u32; 2]>, Cancelled> {
         let Mesh {
             positions, triangles, ..

@@ -246,9 +246,8 @@ impl LoadedDeformer {
         if let Some(deformer) = self.engine.deformer() {
             let quality = deformer.measure(&solved.positions, options.output.self_intersections, exec)?;
             frame.header.quality = Some(quality_message(&quality));
-            let contact = deformer.contact_warnings(&solved.positions, &options.solve, exec)?;
-            let all = deformer.pose_warnings(&poses).into_iter().chain(contact);
-            warnings = all.map(|warning| warning_message(&warning)).collect();
+            let noticed = deformer.shape_warnings(&solved.positions, &poses, &options.solve, exec)?;
+            warnings = noticed.iter().map(warning_message).collect();
         }
         frame.header.solve_ms = ms_of(solve_time);
         Ok(PoseAnswer {
