@@ -131,10 +131,8 @@ pub fn run_and_write(
         }
         steps.push(done);
     }
-    let quality = match steps.last().and_then(|step: &pb::report::Step| step.quality) {
-        Some(quality) => quality,
-        None => batch.quality(&exec)?,
-    };
+    let last = steps.last().and_then(|step: &pb::report::Step| step.quality);
+    let quality = last.map_or_else(|| batch.quality(&exec), Ok)?;
     let shape = batch.shape.clone();
     batch.riders.move_along(&batch.deformer, &shape.positions, &exec)?;
     stages.report("encode", 0.0);
@@ -153,15 +151,16 @@ pub fn run_and_write(
     let mut facts = session_message(&deformer.facts());
     add_found_turns(&mut facts.handles, &found_turns_message(&turns));
     let (passengers, carried) = riders.write_files(&deformer.carry_nodes(&positions, &exec)?)?;
-    let mut warnings = facts.warnings;
-    warnings.extend(large_faces_warning(&quality));
-    warnings.extend(deformer.pose_warnings(&poses).iter().map(warning_message));
-    warnings.extend((idle.iter().map(|id| idle_handle_warning(id))).chain(warnings_of_files(&written, &carried)));
+    let noticed = deformer.shape_warnings(&positions, &poses, &options.solve, &exec)?;
+    facts.warnings.extend(large_faces_warning(&quality));
+    facts.warnings.extend(noticed.iter().map(warning_message));
+    (facts.warnings)
+        .extend((idle.iter().map(|id| idle_handle_warning(id))).chain(warnings_of_files(&written, &carried)));
     let report = pb::Report {
         passengers,
         followed: followed_message(&written.followed),
         model: facts.model,
-        warnings,
+        warnings: facts.warnings,
         quality: Some(quality),
         digest: digest(&positions),
         solver: facts.solver,

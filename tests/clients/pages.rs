@@ -15,7 +15,7 @@ use std::path::Path;
 use std::process::Command;
 
 /// Every page for users that has no test of its own.
-const PAGES: [&str; 27] = [
+const PAGES: [&str; 28] = [
     "README.md",
     "CONTRIBUTING.md",
     "deploy/README.md",
@@ -24,6 +24,7 @@ const PAGES: [&str; 27] = [
     "deploy/docs/batches.md",
     "deploy/docs/command-line.md",
     "deploy/docs/concepts.md",
+    "deploy/docs/contact.md",
     "deploy/docs/durability.md",
     "deploy/docs/formats.md",
     "deploy/docs/frame.md",
@@ -126,6 +127,11 @@ fn wrap() {
     if checkout.path("target/led.glb").exists() {
         shows_what_it_draws(&checkout, &[("wrapped", "wrapped")]);
     }
+}
+
+#[test]
+fn contact() {
+    play("deploy/docs/contact.md");
 }
 
 #[test]

@@ -57,6 +57,7 @@
 //! | `guides` | curves, lattices and cages whose shape says where vertices are wanted |
 //! | `thin_faces` | needles and caps, which follow the shape around them |
 //! | `folds` | faces that turned over, brought back where nothing forces them |
+//! | `contact` | surfaces that cross, moved apart |
 //! | `surface_transfer` | shapes of one surface, carried to another with the same triangles |
 //! | `surface_faults` | folds and crossings of a shape, counted |
 
@@ -64,6 +65,7 @@
 
 mod body;
 mod border_frames;
+mod contact;
 mod error;
 mod fields;
 mod first_pass;
@@ -81,6 +83,7 @@ mod thin_faces;
 mod volume_scales;
 
 pub use body::{BodyOptions, CoarseOperators, DeformableBody, EdgeWeights, TieFamilies, TieOptions, VolumeMode};
+pub use contact::ContactSurface;
 pub use error::Error;
 pub use fields::HarmonicFields;
 pub use first_pass::{LocalFrame, LocalRotation, PoseBlend, frames, pack_rotation};

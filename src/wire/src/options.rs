@@ -3,7 +3,7 @@
 use super::check::{enumerated, number, optional_within};
 use super::frames::{FrameEncoding, FrameOutput};
 use super::{Error, pb};
-use pliant_core::engine::{Method, Quality, SolveSettings};
+use pliant_core::engine::{Contact, Method, Quality, SolveSettings};
 
 /// Most fits of rotations in one solve.
 const MOST_REFINE: u32 = 1000;
@@ -54,6 +54,7 @@ impl DeformOptions {
         let first_pass: pb::options::FirstPass = enumerated(options.first_pass, &at("firstPass"))?;
         let method: pb::options::Method = enumerated(options.method, &at("method"))?;
         let volume: pb::options::Volume = enumerated(options.volume, &at("volume"))?;
+        let contact = checked_contact(options, prefix)?;
         let fit: pb::options::Fit = enumerated(options.fit, &at("fit"))?;
         if let Some(seen) = options.refine.filter(|n| *n > MOST_REFINE) {
             return Err(Error::invalid(
@@ -107,6 +108,7 @@ impl DeformOptions {
             solve: SolveSettings {
                 method,
                 gradients: output.gradients,
+                contact,
                 ..quality.into()
             },
             budget_ms,
@@ -127,6 +129,27 @@ impl DeformOptions {
                 options.window
             },
         })
+    }
+}
+
+/// What is asked for about surfaces that cross.
+fn checked_contact(options: &pb::Options, prefix: &str) -> Result<Contact, Error> {
+    let contact: pb::options::Contact = enumerated(options.contact, &format!("{prefix}.contact"))?;
+    let field = format!("{prefix}.clearance");
+    number(options.clearance, &field)?;
+    if options.clearance < 0.0 {
+        let problem = format!("is {}, it must not be negative", options.clearance);
+        return Err(Error::invalid(field, problem));
+    }
+    match contact {
+        pb::options::Contact::Ignore if options.clearance > 0.0 => {
+            let problem = "stands without contact AVOID, which alone keeps a distance; allowed is 0 without it";
+            Err(Error::invalid(field, problem))
+        }
+        pb::options::Contact::Ignore => Ok(Contact::Ignored),
+        pb::options::Contact::Avoid => Ok(Contact::Avoided {
+            clearance: Some(options.clearance).filter(|clearance| *clearance > 0.0),
+        }),
     }
 }
 

@@ -35,6 +35,10 @@ class SolveFields(TypedDict, total=False):
     volume: Literal["keep", "free"]
     #: Where re-fits on a stream begin: with what the pose before has found, or each pose as its commit would, on coarse levels.
     fit: Literal["continued", "coarse_first"]
+    #: What a commit does about surfaces that the pose pushes through each other: they cross, or are moved apart.
+    contact: Literal["ignore", "avoid"]
+    #: What surfaces that have crossed keep from each other, model units, with contact "avoid".
+    clearance: float
     #: Frames also carry normals.
     normals: bool
     #: Frames also carry tangents.
@@ -53,7 +57,7 @@ class SolveFields(TypedDict, total=False):
     window: int
 
 
-_PLAIN = ("tolerance", "max_error", "budget_ms", "progressive", "refine", "rotation_smoothing", "window")
+_PLAIN = ("tolerance", "max_error", "budget_ms", "progressive", "refine", "rotation_smoothing", "clearance", "window")
 _OUTPUT = ("normals", "tangents", "changed_only", "self_intersections", "gradients")
 
 
@@ -73,6 +77,8 @@ def options(fields: SolveFields) -> pb.Options:
             message.first_pass = enum(name, pb.Options.FirstPass, value)
         elif name == "volume":
             message.volume = enum(name, pb.Options.Volume, value)
+        elif name == "contact":
+            message.contact = enum(name, pb.Options.Contact, value)
         elif name == "fit":
             message.fit = enum(name, pb.Options.Fit, value)
         elif name == "method":

@@ -10,9 +10,10 @@ use super::derived_structures::DerivedStructures;
 use super::error::Error;
 use super::handle::{Falloff, FalloffCurve};
 use super::resolved_handles::fading_weights;
+use super::settings::{Contact, SolveSettings};
 use crate::deform::{
-    FaceSurroundings, FreeSurface, HandleSystem, LocalRotation, PoseRequest, Quality, RestFaces, SolveState,
-    SolvedNodes, SurfaceFaults, TurnChange, TurnChangeKind, VolumeScales, unfold_suspects,
+    ContactSurface, FaceSurroundings, FreeSurface, HandleSystem, LocalRotation, PoseRequest, Quality, RestFaces,
+    SolveState, SolvedNodes, SurfaceFaults, TurnChange, TurnChangeKind, VolumeScales, unfold_suspects,
 };
 use crate::exec::Exec;
 use crate::mesh::{Mesh, signed_volume, surface_area};
@@ -82,7 +83,7 @@ impl<'a> BuckleWatch<'a> {
     }
 
     /// Brings back what turned over, as in every commit.
-    pub fn unfold(&self, solved: &mut SolvedNodes) {
+    fn unfold(&self, solved: &mut SolvedNodes) {
         self.exec.progress.begin_pass("unfold");
         unfold_suspects(
             &self.derived.mesh,
@@ -94,11 +95,38 @@ impl<'a> BuckleWatch<'a> {
         );
     }
 
+    /// Finishes a commit: what turned over is brought back, fits are kept from making it worse, and surfaces from crossing, as far as
+    /// `settings` ask for these.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`], and those of a solve.
+    pub fn finished_commit(
+        &self,
+        mut solved: SolvedNodes,
+        settings: &SolveSettings,
+        state: &mut SolveState,
+    ) -> Result<SolvedNodes, Error> {
+        self.unfold(&mut solved);
+        if settings.watches_fits() {
+            solved = self.unbuckled(solved, state)?;
+        }
+        if let Contact::Avoided { clearance } = settings.contact {
+            self.exec.progress.begin_pass("contact");
+            let surface = ContactSurface {
+                mesh: &self.derived.mesh,
+                held: self.handles.given(),
+                clearance,
+            };
+            surface.part(&mut solved.positions, self.exec)?;
+        }
+        Ok(solved)
+    }
+
     /// Returns the fitted pose, which `state` has, or a better one.
     ///
     /// # Errors
     /// [`Error::Cancelled`], and those of a solve.
-    pub fn unbuckled(&self, fitted: SolvedNodes, state: &mut SolveState) -> Result<SolvedNodes, Error> {
+    fn unbuckled(&self, fitted: SolvedNodes, state: &mut SolveState) -> Result<SolvedNodes, Error> {
         let vertices = self.derived.mesh.positions.len();
         if state.added_turns().len() != self.derived.body.nodes() {
             return Ok(fitted);

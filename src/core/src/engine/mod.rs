@@ -32,6 +32,7 @@ mod buckles;
 mod cap_coordinates;
 mod carry;
 mod clean;
+mod contact;
 mod deformer;
 mod derived_structures;
 mod edit;
@@ -93,8 +94,8 @@ pub use quality::FrameQuality;
 pub use riding::CarriedNode;
 pub use riding_file::RidingFile;
 pub use settings::{
-    COMMIT_REFINE, CarriedModel, DeformerLimits, ESTIMATED_MEMORY, KeptApart, OpenOptions, Passenger, PassengerKind,
-    Recipe, SolveMode, SolveSettings,
+    COMMIT_REFINE, CarriedModel, Contact, DeformerLimits, ESTIMATED_MEMORY, KeptApart, OpenOptions, Passenger,
+    PassengerKind, Recipe, SolveMode, SolveSettings,
 };
 pub use shape::{FoundTurn, ModelShape, Shader, Shading, ShapeId, TopologyId, digest, shading};
 pub use solve::Drag;

@@ -105,6 +105,22 @@ pub struct SolveSettings {
     /// Whether a drag also answers how space around render vertices has turned and stretched. What rides along then goes where it
     /// goes in single precision, and faster. A commit has no use for it.
     pub gradients: bool,
+    /// What a commit does about surfaces that the pose pushes through each other.
+    pub contact: Contact,
+}
+
+/// What a commit does about surfaces that the pose pushes through each other.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum Contact {
+    /// They cross.
+    #[default]
+    Ignored,
+    /// They are moved apart as far as handles let them, so that fewer triangles cross, or the shape stays as it is.
+    Avoided {
+        /// What surfaces that have crossed keep from each other, model units; less where they were nearer in the rest pose. `None`: 0.1
+        /// of the median edge around where they cross.
+        clearance: Option<f64>,
+    },
 }
 
 /// What a commit does with fitted rotations, as it grew: each does what those before it did. A record names the one that its
@@ -133,6 +149,7 @@ impl Default for SolveSettings {
             fits: FitOrder::default(),
             recipe: Recipe::default(),
             gradients: false,
+            contact: Contact::default(),
         }
     }
 }
@@ -167,6 +184,7 @@ pub(super) const EDITED_AT_REST: SolveSettings = SolveSettings {
     fits: FitOrder::GraphAlone,
     recipe: Recipe::AsTheyCome,
     gradients: false,
+    contact: Contact::Ignored,
 };
 
 /// How a solve treats what was solved before.

@@ -17,7 +17,7 @@ use crate::engine::handle::{HandlePose, HandlePoses};
 use crate::engine::resolved_handles::check_free_rotation;
 use crate::engine::riding::RidingVertices;
 use crate::engine::riding_frames::RidingFrames;
-use crate::engine::settings::{COMMIT_REFINE, DeformerLimits, Recipe, SolveMode, SolveSettings};
+use crate::engine::settings::{COMMIT_REFINE, Contact, DeformerLimits, Recipe, SolveMode, SolveSettings};
 use crate::engine::shape::{ModelShape, ShapeId};
 use crate::exec::Exec;
 use crate::mesh::carry::{CarrySurface, LocalGradients};
@@ -60,11 +60,15 @@ impl Deformer {
             .ok_or_else(|| Error::Precondition("no handles are set; set them before deforming".into()))
     }
 
-    /// Refuses a method that the handles in force do not go with.
+    /// Refuses a method that the handles in force, or what is asked for beside it, do not go with.
     fn check_method(&self, settings: &SolveSettings) -> Result<(), Error> {
         if settings.method == Method::SpatialRbf && self.handles().handles.iter().any(|h| h.targets.is_some()) {
             let problem = "is SPATIAL_RBF, which cannot do with handles that have targets; GRAPH is allowed";
             return Err(Error::invalid("options.method", problem));
+        }
+        if settings.method == Method::SpatialRbf && settings.contact != Contact::Ignored {
+            let problem = "is AVOID, which does not go with method SPATIAL_RBF; IGNORE is allowed";
+            return Err(Error::invalid("options.contact", problem));
         }
         Ok(())
     }
@@ -186,10 +190,7 @@ impl Deformer {
             .settle(body, handle_system, &solved.frames, &mut solved.positions, exec.pool);
         if mode == SolveMode::Commit && settings.method != Method::SpatialRbf {
             let watch = BuckleWatch::of(derived, handle_system, request, exec);
-            watch.unfold(&mut solved);
-            if settings.watches_fits() {
-                solved = watch.unbuckled(solved, state)?;
-            }
+            solved = watch.finished_commit(solved, settings, state)?;
         }
         exec.progress.begin_pass("render");
         let (positions, gradients) = shape.render(&solved.positions, &solved.frames, &transforms);

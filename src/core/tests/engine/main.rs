@@ -4,6 +4,7 @@
 mod adopt;
 mod animation;
 mod carry;
+mod contact;
 #[expect(dead_code, reason = "other tests read single files")]
 #[path = "../../../../tests/support/data.rs"]
 mod data;
@@ -14,5 +15,6 @@ mod parts;
 mod passengers;
 mod skinning;
 mod splats;
+mod transfer;
 mod vertex_targets;
 mod wrap;

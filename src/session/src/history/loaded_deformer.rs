@@ -248,7 +248,8 @@ impl LoadedDeformer {
         if let Some(deformer) = self.engine.deformer() {
             let quality = deformer.measure(&solved.positions, options.output.self_intersections, exec)?;
             frame.header.quality = Some(quality_message(&quality));
-            warnings = deformer.pose_warnings(&poses).iter().map(warning_message).collect();
+            let noticed = deformer.shape_warnings(&solved.positions, &poses, &options.solve, exec)?;
+            warnings = noticed.iter().map(warning_message).collect();
         }
         frame.header.solve_ms = ms_of(solve_time);
         Ok(PoseAnswer {

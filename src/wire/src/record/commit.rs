@@ -1,13 +1,15 @@
 //! Commits as a store keeps them.
 
 use super::messages::{
-    CommitKindMessage, CommitMessage, CreationMessage, EditMessage, FileReferences, FrameMessage, HandlesMessage,
-    PoseMessage, SettingsMessage, ShapeProbe, StepMessage,
+    AvoidedContactMessage, CommitKindMessage, CommitMessage, CreationMessage, EditMessage, FileReferences,
+    FrameMessage, HandlesMessage, PoseMessage, SettingsMessage, ShapeProbe, StepMessage,
 };
 use crate::frames::{FrameEncoding, FrameOutput};
 use crate::{Error, SessionEdit, handle_pose, handle_pose_message, handle_set, handle_set_message, pb, session_edit};
 use glam::DVec3;
-use pliant_core::engine::{DefaultPivot, HandlePose, HandlePoses, HandleSet, Method, Quality, Recipe, SolveSettings};
+use pliant_core::engine::{
+    Contact, DefaultPivot, HandlePose, HandlePoses, HandleSet, Method, Quality, Recipe, SolveSettings,
+};
 use pliant_deform::FitOrder;
 use prost::Message as _;
 
@@ -258,6 +260,7 @@ fn settings_message(settings: &SolveSettings) -> SettingsMessage {
         recipe,
         // A shape is the same with and without them.
         gradients: _,
+        contact,
     } = settings;
     SettingsMessage {
         tolerance: quality.tolerance,
@@ -274,6 +277,10 @@ fn settings_message(settings: &SolveSettings) -> SettingsMessage {
         coarse_first: *fits == FitOrder::CoarseFirst,
         recipe: *recipe as u32,
         keeps_volume: quality.keeps_volume,
+        contact: match *contact {
+            Contact::Ignored => None,
+            Contact::Avoided { clearance } => Some(AvoidedContactMessage { clearance }),
+        },
     }
 }
 
@@ -287,6 +294,8 @@ fn recorded_settings(message: &SettingsMessage) -> Result<SolveSettings, Error> 
         rotation_smoothing: message.rotation_smoothing,
         first_pass: message.first_pass,
         method: if message.spatial_rbf { method.into() } else { 0 },
+        contact: message.contact.map_or(0, |_| pb::options::Contact::Avoid.into()),
+        clearance: message.contact.and_then(|contact| contact.clearance).unwrap_or(0.0),
         ..Default::default()
     };
     let checked = crate::DeformOptions::check(&asked, "settings", 64)?;
@@ -299,6 +308,7 @@ fn recorded_settings(message: &SettingsMessage) -> Result<SolveSettings, Error> 
             ..checked.solve.quality
         },
         method: checked.solve.method,
+        contact: checked.solve.contact,
         fits: match message.coarse_first {
             true => FitOrder::CoarseFirst,
             false => FitOrder::GraphAlone,

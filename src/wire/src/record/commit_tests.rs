@@ -1,7 +1,7 @@
 //! Commits come back as they were written, and bytes that are no commit are refused.
 
 use super::*;
-use pliant_core::engine::{Handle, HandleScale, Region, Stiff, VertexTargets};
+use pliant_core::engine::{Contact, Handle, HandleScale, Region, Stiff, VertexTargets};
 use proptest::prelude::*;
 
 fn facts() -> Box<pb::Session> {
@@ -43,6 +43,9 @@ fn unusual_settings() -> SolveSettings {
         fits: FitOrder::GraphAlone,
         recipe: Recipe::AsTheyCome,
         gradients: false,
+        contact: Contact::Avoided {
+            clearance: Some(1.0 / 3.0),
+        },
     }
 }
 

@@ -128,6 +128,16 @@ pub(super) struct SettingsMessage {
     /// Absent in records of the time when volume was not kept.
     #[prost(bool, tag = "9")]
     pub keeps_volume: bool,
+    /// Absent where surfaces may cross, and in records of the time when they always could.
+    #[prost(message, optional, tag = "10")]
+    pub contact: Option<AvoidedContactMessage>,
+}
+
+/// How surfaces were kept from crossing.
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+pub(super) struct AvoidedContactMessage {
+    #[prost(double, optional, tag = "1")]
+    pub clearance: Option<f64>,
 }
 
 /// The frame that answered a pose, but for its vertices.

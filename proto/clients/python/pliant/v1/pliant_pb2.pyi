@@ -727,21 +727,23 @@ class Pose(_message.Message):
     def __init__(self, seq: _Optional[int] = ..., handles: _Optional[_Iterable[_Union[Pose.Entry, _Mapping]]] = ..., commit: bool = ..., idempotency_key: _Optional[str] = ..., more: bool = ...) -> None: ...
 
 class Output(_message.Message):
-    __slots__ = ("normals", "tangents", "changed_only", "encoding", "self_intersections")
+    __slots__ = ("normals", "tangents", "changed_only", "encoding", "self_intersections", "gradients")
     NORMALS_FIELD_NUMBER: _ClassVar[int]
     TANGENTS_FIELD_NUMBER: _ClassVar[int]
     CHANGED_ONLY_FIELD_NUMBER: _ClassVar[int]
     ENCODING_FIELD_NUMBER: _ClassVar[int]
     SELF_INTERSECTIONS_FIELD_NUMBER: _ClassVar[int]
+    GRADIENTS_FIELD_NUMBER: _ClassVar[int]
     normals: bool
     tangents: bool
     changed_only: float
     encoding: Frame.Encoding
     self_intersections: bool
-    def __init__(self, normals: bool = ..., tangents: bool = ..., changed_only: _Optional[float] = ..., encoding: _Optional[_Union[Frame.Encoding, str]] = ..., self_intersections: bool = ...) -> None: ...
+    gradients: bool
+    def __init__(self, normals: bool = ..., tangents: bool = ..., changed_only: _Optional[float] = ..., encoding: _Optional[_Union[Frame.Encoding, str]] = ..., self_intersections: bool = ..., gradients: bool = ...) -> None: ...
 
 class Options(_message.Message):
-    __slots__ = ("tolerance", "max_error", "budget_ms", "progressive", "refine", "first_pass", "method", "rotation_smoothing", "output", "window", "volume", "fit")
+    __slots__ = ("tolerance", "max_error", "budget_ms", "progressive", "refine", "first_pass", "method", "rotation_smoothing", "output", "window", "volume", "fit", "contact", "clearance")
     class FirstPass(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         HARMONIC: _ClassVar[Options.FirstPass]
@@ -768,6 +770,12 @@ class Options(_message.Message):
         COARSE_FIRST: _ClassVar[Options.Fit]
     CONTINUED: Options.Fit
     COARSE_FIRST: Options.Fit
+    class Contact(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        IGNORE: _ClassVar[Options.Contact]
+        AVOID: _ClassVar[Options.Contact]
+    IGNORE: Options.Contact
+    AVOID: Options.Contact
     TOLERANCE_FIELD_NUMBER: _ClassVar[int]
     MAX_ERROR_FIELD_NUMBER: _ClassVar[int]
     BUDGET_MS_FIELD_NUMBER: _ClassVar[int]
@@ -780,6 +788,8 @@ class Options(_message.Message):
     WINDOW_FIELD_NUMBER: _ClassVar[int]
     VOLUME_FIELD_NUMBER: _ClassVar[int]
     FIT_FIELD_NUMBER: _ClassVar[int]
+    CONTACT_FIELD_NUMBER: _ClassVar[int]
+    CLEARANCE_FIELD_NUMBER: _ClassVar[int]
     tolerance: float
     max_error: float
     budget_ms: float
@@ -792,7 +802,9 @@ class Options(_message.Message):
     window: int
     volume: Options.Volume
     fit: Options.Fit
-    def __init__(self, tolerance: _Optional[float] = ..., max_error: _Optional[float] = ..., budget_ms: _Optional[float] = ..., progressive: bool = ..., refine: _Optional[int] = ..., first_pass: _Optional[_Union[Options.FirstPass, str]] = ..., method: _Optional[_Union[Options.Method, str]] = ..., rotation_smoothing: _Optional[float] = ..., output: _Optional[_Union[Output, _Mapping]] = ..., window: _Optional[int] = ..., volume: _Optional[_Union[Options.Volume, str]] = ..., fit: _Optional[_Union[Options.Fit, str]] = ...) -> None: ...
+    contact: Options.Contact
+    clearance: float
+    def __init__(self, tolerance: _Optional[float] = ..., max_error: _Optional[float] = ..., budget_ms: _Optional[float] = ..., progressive: bool = ..., refine: _Optional[int] = ..., first_pass: _Optional[_Union[Options.FirstPass, str]] = ..., method: _Optional[_Union[Options.Method, str]] = ..., rotation_smoothing: _Optional[float] = ..., output: _Optional[_Union[Output, _Mapping]] = ..., window: _Optional[int] = ..., volume: _Optional[_Union[Options.Volume, str]] = ..., fit: _Optional[_Union[Options.Fit, str]] = ..., contact: _Optional[_Union[Options.Contact, str]] = ..., clearance: _Optional[float] = ...) -> None: ...
 
 class Ack(_message.Message):
     __slots__ = ("seq",)
@@ -837,9 +849,15 @@ class Frame(_message.Message):
         POSITION: _ClassVar[Frame.Attribute]
         NORMAL: _ClassVar[Frame.Attribute]
         TANGENT: _ClassVar[Frame.Attribute]
+        ROTATION: _ClassVar[Frame.Attribute]
+        STRETCH: _ClassVar[Frame.Attribute]
+        SHEAR: _ClassVar[Frame.Attribute]
     POSITION: Frame.Attribute
     NORMAL: Frame.Attribute
     TANGENT: Frame.Attribute
+    ROTATION: Frame.Attribute
+    STRETCH: Frame.Attribute
+    SHEAR: Frame.Attribute
     SEQ_FIELD_NUMBER: _ClassVar[int]
     REVISION_FIELD_NUMBER: _ClassVar[int]
     PART_FIELD_NUMBER: _ClassVar[int]
@@ -1422,16 +1440,61 @@ class Followed(_message.Message):
     def __init__(self, joints: _Optional[int] = ..., moved_joints: _Optional[int] = ..., clips: _Optional[int] = ..., rewritten_clips: _Optional[int] = ..., morph_targets: _Optional[int] = ..., carried_morph_targets: _Optional[int] = ..., passengers: _Optional[int] = ..., moved_passengers: _Optional[int] = ..., farthest: _Optional[_Iterable[_Union[Followed.Joint, _Mapping]]] = ..., passenger_nodes: _Optional[int] = ..., moved_passenger_nodes: _Optional[int] = ...) -> None: ...
 
 class Chunk(_message.Message):
-    __slots__ = ("data", "uri", "followed", "warnings")
+    __slots__ = ("data", "uri", "followed", "warnings", "transferred")
     DATA_FIELD_NUMBER: _ClassVar[int]
     URI_FIELD_NUMBER: _ClassVar[int]
     FOLLOWED_FIELD_NUMBER: _ClassVar[int]
     WARNINGS_FIELD_NUMBER: _ClassVar[int]
+    TRANSFERRED_FIELD_NUMBER: _ClassVar[int]
     data: bytes
     uri: str
     followed: Followed
     warnings: _containers.RepeatedCompositeFieldContainer[Warning]
-    def __init__(self, data: _Optional[bytes] = ..., uri: _Optional[str] = ..., followed: _Optional[_Union[Followed, _Mapping]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ...) -> None: ...
+    transferred: TransferReport
+    def __init__(self, data: _Optional[bytes] = ..., uri: _Optional[str] = ..., followed: _Optional[_Union[Followed, _Mapping]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., transferred: _Optional[_Union[TransferReport, _Mapping]] = ...) -> None: ...
+
+class TransferRequest(_message.Message):
+    __slots__ = ("session_id", "model", "session", "format", "landmarks", "shape", "shape_format", "output")
+    SESSION_ID_FIELD_NUMBER: _ClassVar[int]
+    MODEL_FIELD_NUMBER: _ClassVar[int]
+    SESSION_FIELD_NUMBER: _ClassVar[int]
+    FORMAT_FIELD_NUMBER: _ClassVar[int]
+    LANDMARKS_FIELD_NUMBER: _ClassVar[int]
+    SHAPE_FIELD_NUMBER: _ClassVar[int]
+    SHAPE_FORMAT_FIELD_NUMBER: _ClassVar[int]
+    OUTPUT_FIELD_NUMBER: _ClassVar[int]
+    session_id: str
+    model: bytes
+    session: str
+    format: str
+    landmarks: _containers.RepeatedCompositeFieldContainer[EditRequest.Wrap.Landmark]
+    shape: bytes
+    shape_format: str
+    output: str
+    def __init__(self, session_id: _Optional[str] = ..., model: _Optional[bytes] = ..., session: _Optional[str] = ..., format: _Optional[str] = ..., landmarks: _Optional[_Iterable[_Union[EditRequest.Wrap.Landmark, _Mapping]]] = ..., shape: _Optional[bytes] = ..., shape_format: _Optional[str] = ..., output: _Optional[str] = ...) -> None: ...
+
+class TransferReport(_message.Message):
+    __slots__ = ("shapes", "clips", "wrap")
+    class Shape(_message.Message):
+        __slots__ = ("name", "moved_vertices", "largest_move", "flipped_triangles", "flipped_in_source")
+        NAME_FIELD_NUMBER: _ClassVar[int]
+        MOVED_VERTICES_FIELD_NUMBER: _ClassVar[int]
+        LARGEST_MOVE_FIELD_NUMBER: _ClassVar[int]
+        FLIPPED_TRIANGLES_FIELD_NUMBER: _ClassVar[int]
+        FLIPPED_IN_SOURCE_FIELD_NUMBER: _ClassVar[int]
+        name: str
+        moved_vertices: int
+        largest_move: float
+        flipped_triangles: int
+        flipped_in_source: int
+        def __init__(self, name: _Optional[str] = ..., moved_vertices: _Optional[int] = ..., largest_move: _Optional[float] = ..., flipped_triangles: _Optional[int] = ..., flipped_in_source: _Optional[int] = ...) -> None: ...
+    SHAPES_FIELD_NUMBER: _ClassVar[int]
+    CLIPS_FIELD_NUMBER: _ClassVar[int]
+    WRAP_FIELD_NUMBER: _ClassVar[int]
+    shapes: _containers.RepeatedCompositeFieldContainer[TransferReport.Shape]
+    clips: int
+    wrap: WrapReport
+    def __init__(self, shapes: _Optional[_Iterable[_Union[TransferReport.Shape, _Mapping]]] = ..., clips: _Optional[int] = ..., wrap: _Optional[_Union[WrapReport, _Mapping]] = ...) -> None: ...
 
 class CarryRequest(_message.Message):
     __slots__ = ("session_id", "points", "rotations", "model", "format")

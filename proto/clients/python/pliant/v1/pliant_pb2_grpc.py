@@ -110,6 +110,11 @@ class DeformerStub(object):
                 request_serializer=pliant_dot_v1_dot_pliant__pb2.MakeRigRequest.SerializeToString,
                 response_deserializer=pliant_dot_v1_dot_pliant__pb2.MakeRigResponse.FromString,
                 _registered_method=True)
+        self.Transfer = channel.unary_stream(
+                '/pliant.v1.Deformer/Transfer',
+                request_serializer=pliant_dot_v1_dot_pliant__pb2.TransferRequest.SerializeToString,
+                response_deserializer=pliant_dot_v1_dot_pliant__pb2.Chunk.FromString,
+                _registered_method=True)
         self.Animate = channel.stream_stream(
                 '/pliant.v1.Deformer/Animate',
                 request_serializer=pliant_dot_v1_dot_pliant__pb2.AnimateRequest.SerializeToString,
@@ -233,6 +238,14 @@ class DeformerServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def Transfer(self, request, context):
+        """Returns the model in its current shape with the blend shapes of another one, or in another shape as another one takes it on, in
+        chunks of at most 1 MiB; the first has the report. Changes nothing.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def Animate(self, request_iterator, context):
         """Drives the model by a clip and returns all frames in order, each in one or more parts. Reports on the preparation
         come first, a report on all frames comes last. The server waits for a client that reads slowly. The session's
@@ -326,6 +339,11 @@ def add_DeformerServicer_to_server(servicer, server):
                     servicer.MakeRig,
                     request_deserializer=pliant_dot_v1_dot_pliant__pb2.MakeRigRequest.FromString,
                     response_serializer=pliant_dot_v1_dot_pliant__pb2.MakeRigResponse.SerializeToString,
+            ),
+            'Transfer': grpc.unary_stream_rpc_method_handler(
+                    servicer.Transfer,
+                    request_deserializer=pliant_dot_v1_dot_pliant__pb2.TransferRequest.FromString,
+                    response_serializer=pliant_dot_v1_dot_pliant__pb2.Chunk.SerializeToString,
             ),
             'Animate': grpc.stream_stream_rpc_method_handler(
                     servicer.Animate,
@@ -744,6 +762,33 @@ class Deformer(object):
             '/pliant.v1.Deformer/MakeRig',
             pliant_dot_v1_dot_pliant__pb2.MakeRigRequest.SerializeToString,
             pliant_dot_v1_dot_pliant__pb2.MakeRigResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def Transfer(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_stream(
+            request,
+            target,
+            '/pliant.v1.Deformer/Transfer',
+            pliant_dot_v1_dot_pliant__pb2.TransferRequest.SerializeToString,
+            pliant_dot_v1_dot_pliant__pb2.Chunk.FromString,
             options,
             channel_credentials,
             insecure,

@@ -1,0 +1,159 @@
+//! Commits that keep surfaces from crossing.
+
+use glam::DVec3;
+use pliant_core::asset::{FileSet, shapes};
+use pliant_core::engine::{
+    Contact, Deformer, DeformerLimits, Handle, HandlePose, HandleRotation, ModelShape, OpenOptions, Region,
+    SolveSettings,
+};
+use pliant_core::exec::Exec;
+use pliant_core::mesh::PairKind;
+use pliant_core::pool::Pool;
+use pliant_core::progress::Silent;
+
+const AVOIDED: Contact = Contact::Avoided { clearance: None };
+
+/// A closed tube along z from 0 to 4.
+fn tube(around: usize, along: usize) -> FileSet {
+    let (points, triangles) = shapes::cylinder(0.5, 4.0, around, along, true);
+    let points = points
+        .iter()
+        .map(|p| format!("v {} {} {}\n", p.x as f32, p.y as f32, p.z as f32));
+    let triangles = triangles
+        .iter()
+        .map(|[a, b, c]| format!("f {} {} {}\n", a + 1, b + 1, c + 1));
+    FileSet::single("tube.obj", points.chain(triangles).collect::<String>())
+}
+
+/// A tube of which handles hold both ends, up to `held` from each.
+fn held_tube(held: f64, exec: &Exec<'_>) -> Deformer {
+    let mut deformer =
+        Deformer::open(tube(24, 48), &OpenOptions::default(), &DeformerLimits::default(), exec).expect("a model");
+    let ends = [
+        Handle::new("bottom", Region::half_space([0.0, 0.0, -1.0], 1e-6 - held)),
+        Handle::new("top", Region::half_space([0.0, 0.0, 1.0], 4.0 - held + 1e-6)),
+    ];
+    deformer.set_handles(ends.to_vec(), exec).expect("right handles");
+    deformer
+}
+
+/// Bends the tube.
+fn bent(deformer: &mut Deformer, degrees: f64, contact: Contact, exec: &Exec<'_>) -> ModelShape {
+    let pose = HandlePose {
+        rotation: Some(HandleRotation::Vector(DVec3::X * degrees.to_radians())),
+        ..HandlePose::default()
+    };
+    let settings = SolveSettings {
+        contact,
+        ..SolveSettings::default()
+    };
+    deformer.commit([("top", pose)], &settings, exec).expect("a shape")
+}
+
+fn new_pairs(deformer: &Deformer, shape: &ModelShape, exec: &Exec<'_>) -> u64 {
+    deformer
+        .crossing_pairs(&shape.positions, 0, exec)
+        .expect("no cancel")
+        .new
+}
+
+fn volume(deformer: &Deformer, shape: &ModelShape, exec: &Exec<'_>) -> f64 {
+    deformer
+        .measure(&shape.positions, false, exec)
+        .expect("no cancel")
+        .volume_change
+}
+
+#[test]
+fn a_bent_tube_crosses_itself_without_and_not_with() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let mut deformer = held_tube(1.0, &exec);
+    for degrees in [130.0, 140.0, 150.0] {
+        let without = bent(&mut deformer, degrees, Contact::Ignored, &exec);
+        let with = bent(&mut deformer, degrees, AVOIDED, &exec);
+        assert!(new_pairs(&deformer, &without, &exec) > 20, "{degrees} degrees");
+        assert_eq!(new_pairs(&deformer, &with, &exec), 0, "{degrees} degrees");
+        let lost = (volume(&deformer, &with, &exec) - volume(&deformer, &without, &exec)).abs();
+        assert!(lost < 0.06, "{degrees} degrees: {lost}");
+        // What handles hold is where it was, and so is all that is far from the crease.
+        let moved = |z: f64| z < 1.0 || z > 3.0;
+        for (v, rest) in deformer.rest().iter().enumerate().filter(|(_, rest)| moved(rest.z)) {
+            assert_eq!(without.positions[v], with.positions[v], "{rest}");
+        }
+        let settings = SolveSettings {
+            contact: AVOIDED,
+            ..SolveSettings::default()
+        };
+        let warnings = deformer
+            .shape_warnings(&with.positions, &deformer.initial_poses(), &settings, &exec)
+            .expect("no cancel");
+        let left = warnings.iter().filter(|w| !w.message.contains("handles hold wholly"));
+        assert_eq!(left.count(), 0, "{warnings:?}");
+    }
+}
+
+#[test]
+fn what_does_not_cross_keeps_its_bits() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let mut deformer = held_tube(1.0, &exec);
+    let [without, with] = [Contact::Ignored, AVOIDED].map(|contact| bent(&mut deformer, 100.0, contact, &exec));
+    assert_eq!(new_pairs(&deformer, &without, &exec), 0);
+    assert_eq!(without.positions, with.positions);
+}
+
+#[test]
+fn the_same_pose_has_the_same_bits_for_any_number_of_threads() {
+    let shapes = [1, 2, 5].map(|threads| {
+        let pool = Pool::new(threads).expect("threads");
+        let exec = Exec::new(&pool, &Silent);
+        let mut deformer = held_tube(1.0, &exec);
+        // Another pose before it does not matter.
+        bent(&mut deformer, 30.0 * threads as f64, AVOIDED, &exec);
+        bent(&mut deformer, 150.0, AVOIDED, &exec).positions
+    });
+    assert!(shapes.iter().all(|shape| *shape == shapes[0]));
+}
+
+#[test]
+fn what_handles_push_through_each_other_is_told() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let mut deformer = held_tube(1.8, &exec);
+    let [without, with] = [Contact::Ignored, AVOIDED].map(|contact| bent(&mut deformer, 150.0, contact, &exec));
+    let pairs = |shape: &ModelShape| {
+        deformer
+            .crossing_pairs(&shape.positions, 1000, &exec)
+            .expect("no cancel")
+    };
+    let (before, after) = (pairs(&without), pairs(&with));
+    assert!(
+        after.held > 0 && after.held == before.held && after.new <= before.new,
+        "{} {}",
+        before.new,
+        after.new
+    );
+    let held = after
+        .pairs
+        .iter()
+        .find(|pair| pair.kind == PairKind::Held)
+        .expect("a pair");
+    let settings = SolveSettings {
+        contact: AVOIDED,
+        ..SolveSettings::default()
+    };
+    let warnings = deformer
+        .shape_warnings(&with.positions, &deformer.initial_poses(), &settings, &exec)
+        .expect("no cancel");
+    let about_held = warnings
+        .iter()
+        .find(|w| w.message.contains("handles hold wholly"))
+        .expect("a warning");
+    assert!(about_held.code == "contact-left" && about_held.message.starts_with(&after.held.to_string()));
+    let place = format!("{:?}", about_held.place);
+    assert!(
+        place.contains(&format!("{} and {}", held.triangles[0], held.triangles[1])),
+        "{place}"
+    );
+}
