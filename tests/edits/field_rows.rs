@@ -83,8 +83,6 @@ fn three_skins_over_joints_in_other_orders_are_drawn_where_the_shape_says() {
     let drawn = draw(&parse(&done.written.main, &BTreeMap::new()), None, &[]).expect("not compressed");
     let drawn: Vec<DVec3> = drawn.into_iter().flat_map(|primitive| primitive.positions).collect();
     assert_eq!(drawn.len(), done.positions.len());
-    let most =
-        |pairs: &mut dyn Iterator<Item = (&DVec3, &DVec3)>| pairs.map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
     assert!(farthest(&drawn, &done.positions) < 2e-6);
     assert!(farthest(&rest.positions, &done.positions) > 1.0, "it has moved");
 }

@@ -184,14 +184,25 @@ impl<'a> FreeSurface<'a> {
                 found.lock().unwrap_or_else(PoisonError::into_inner).push(pair);
             }
         };
-        let most = LEAST_OVERLAPS + OVERLAPS_PER_FACE * triangles.len() as u64;
-        if !visit_crossings_within(most, now, triangles, Some(is_asked), &keep_new, exec)? {
+        if !visit_crossings_within(
+            most_overlaps(triangles),
+            now,
+            triangles,
+            Some(is_asked),
+            &keep_new,
+            exec,
+        )? {
             return Ok(None);
         }
         let mut found = found.into_inner().unwrap_or_else(PoisonError::into_inner);
         found.sort_unstable();
         Ok(Some(found))
     }
+}
+
+/// Pairs of overlapping boxes that a search for crossings looks at in a surface that is to be mended.
+pub(crate) fn most_overlaps(triangles: &[[u32; 3]]) -> u64 {
+    LEAST_OVERLAPS + OVERLAPS_PER_FACE * triangles.len() as u64
 }
 
 fn is_fold(before: f64, after: f64) -> bool {

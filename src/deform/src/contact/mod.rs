@@ -12,12 +12,13 @@ mod displace;
 mod find;
 mod region;
 
+use crate::surface_faults::most_overlaps;
 use displace::DisplacementProblem;
 use find::{ContactFinder, Knowledge, PartingStyle, smooth_normals};
 use glam::DVec3;
 use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
-use pliant_mesh::{Mesh, is_crossing, visit_crossings};
+use pliant_mesh::{Mesh, is_crossing, visit_crossings_within};
 use region::ContactRegion;
 use std::sync::{Mutex, PoisonError};
 
@@ -73,10 +74,10 @@ impl ContactSurface<'_> {
     pub fn part(&self, positions: &mut [DVec3], exec: &Exec<'_>) -> Result<(), Cancelled> {
         let vertices = self.mesh.positions.len();
         let base = &positions[..vertices];
-        let before = self.crossings(base, None, exec)?;
-        if before.is_empty() || before.len() > MOST_PAIRS {
-            return Ok(());
-        }
+        let before = match self.crossings(base, None, exec)? {
+            Some(before) if !before.is_empty() && before.len() <= MOST_PAIRS => before,
+            _ => return Ok(()),
+        };
         let region = ContactRegion::around(self.mesh, &self.held[..vertices], &before);
         let clearance = self.clearance.unwrap_or(CLEARANCE * region.edge);
         let rest_bend = rest_bend(self.mesh);
@@ -101,12 +102,17 @@ impl ContactSurface<'_> {
                 clearance,
             };
             let mut moved = best.1.clone();
-            let mut crossings = self.crossings(&at, Some(&region.is_near), exec)?;
+            let Some(mut crossings) = self.crossings(&at, Some(&region.is_near), exec)? else {
+                break;
+            };
             for _ in 0..ROUNDS {
                 exec.check()?;
                 finder.look(&displaced(base, &region, &moved), &crossings);
                 DisplacementProblem::new(&finder, base, &rest_bend).improve(&mut moved, exec)?;
-                crossings = self.crossings(&displaced(base, &region, &moved), Some(&region.is_near), exec)?;
+                crossings = match self.crossings(&displaced(base, &region, &moved), Some(&region.is_near), exec)? {
+                    Some(crossings) => crossings,
+                    None => break,
+                };
                 if crossings.len() < best.0 && is_worth(crossings.len(), &displaced(base, &region, &moved)) {
                     best = (crossings.len(), moved.clone(), finder.knowledge.clone());
                 }
@@ -116,7 +122,8 @@ impl ContactSurface<'_> {
             }
         }
         let parted = displaced(base, &region, &best.1);
-        if parted.iter().all(|p| p.is_finite()) && self.crossings(&parted, None, exec)?.len() < before.len() {
+        let left = self.crossings(&parted, None, exec)?;
+        if parted.iter().all(|p| p.is_finite()) && left.is_some_and(|left| left.len() < before.len()) {
             positions[..vertices].copy_from_slice(&parted);
         }
         Ok(())
@@ -139,8 +146,13 @@ impl ContactSurface<'_> {
     }
 
     /// Pairs of faces that cross, did not in the rest pose, and are not held wholly; ascending. With `is_asked` those pairs alone of
-    /// which one face is asked for.
-    fn crossings(&self, at: &[DVec3], is_asked: Option<&[bool]>, exec: &Exec<'_>) -> Result<Vec<[u32; 2]>, Cancelled> {
+    /// which one face is asked for. `None` where nearly all faces overlap.
+    fn crossings(
+        &self,
+        at: &[DVec3],
+        is_asked: Option<&[bool]>,
+        exec: &Exec<'_>,
+    ) -> Result<Option<Vec<[u32; 2]>>, Cancelled> {
         let Mesh {
             positions, triangles, ..
         } = self.mesh;
@@ -152,10 +164,12 @@ impl ContactSurface<'_> {
                 found.lock().unwrap_or_else(PoisonError::into_inner).push(pair);
             }
         };
-        visit_crossings(at, triangles, is_asked, &keep, exec)?;
+        if !visit_crossings_within(most_overlaps(triangles), at, triangles, is_asked, &keep, exec)? {
+            return Ok(None);
+        }
         let mut found = found.into_inner().unwrap_or_else(PoisonError::into_inner);
         found.sort_unstable();
-        Ok(found)
+        Ok(Some(found))
     }
 }
 
