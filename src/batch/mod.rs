@@ -278,12 +278,12 @@ impl<'a> BatchRun<'a> {
             let problem = "is for sessions, which take a shape in parts; a job has it whole";
             return Err(Error::invalid(field, problem));
         }
-        let seen = self.deformer.seen_shape(&command, exec)?;
+        let seen = self.deformer.shape_to_edit(&command, exec)?;
         if on == EditedShape::Current || matches!(edit.kind(), EditKind::Adopt | EditKind::Wrap) {
             // What the edit sees becomes the rest pose, of what rides along too.
             (self.riders).move_along(&self.deformer, &seen.shape.positions, exec)?;
         }
-        let outcome = self.deformer.edit_seen(&command, &seen, exec)?;
+        let outcome = self.deformer.edit_shape(&command, &seen, exec)?;
         self.is_solved &= outcome.solved.is_some();
         let noticed = outcome.report.warnings.iter();
         (self.warned).extend(noticed.map(|w| format!("steps[{k}]: {}: {}", w.code, w.message)));

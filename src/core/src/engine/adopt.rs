@@ -21,7 +21,7 @@ const COARSE_STEPS: f64 = 1e-5;
 
 /// What an edit works on.
 #[derive(Debug, Clone)]
-pub struct SeenShape {
+pub struct ShapeToEdit {
     /// The shape.
     pub shape: ModelShape,
     /// What a wrap that led to it came to.
@@ -35,12 +35,12 @@ impl Deformer {
     /// # Errors
     /// [`Error::Invalid`] for positions of another number of vertices; those of a wrap and of carrying passengers along;
     /// [`Error::Cancelled`].
-    pub fn seen_shape(&self, order: &EditCommand<'_>, exec: &Exec<'_>) -> Result<SeenShape, Error> {
+    pub fn shape_to_edit(&self, order: &EditCommand<'_>, exec: &Exec<'_>) -> Result<ShapeToEdit, Error> {
         let shape = match order.on {
             EditedShape::Current => order.shape.clone(),
             EditedShape::Rest => self.rest_shape(),
         };
-        let seen = |shape| SeenShape { shape, wrap: None };
+        let seen = |shape| ShapeToEdit { shape, wrap: None };
         match order.edit {
             Edit::Adopt { positions } if !positions.is_empty() => self.adopted_shape(positions, shape, exec).map(seen),
             Edit::Adopt { .. } if order.on == EditedShape::Rest => {
@@ -54,7 +54,7 @@ impl Deformer {
     }
 
     /// A shape wrapped onto another model; what rides along follows.
-    fn wrapped_shape(&self, command: &WrapCommand, shape: &ModelShape, exec: &Exec<'_>) -> Result<SeenShape, Error> {
+    fn wrapped_shape(&self, command: &WrapCommand, shape: &ModelShape, exec: &Exec<'_>) -> Result<ShapeToEdit, Error> {
         // The deformer stays until the edit is whole.
         let beside = HeldBeside {
             held: self.byte_size(),
@@ -87,14 +87,14 @@ impl Deformer {
             *position = places[point as usize];
         }
         self.place_riders(&mut positions, exec)?;
-        Ok(SeenShape {
+        Ok(ShapeToEdit {
             shape: ModelShape::from_positions(Arc::new(positions)),
             wrap: Some(report),
         })
     }
 
     /// What is said of a shape that is given so far from the session's origin that frames and files in single precision tear it.
-    pub(super) fn rounding_warning(&self, seen: &SeenShape, is_given: bool) -> Option<DeformerWarning> {
+    pub(super) fn rounding_warning(&self, seen: &ShapeToEdit, is_given: bool) -> Option<DeformerWarning> {
         let bounds = BoundingBox::of(&seen.shape.positions);
         let far = (bounds.min - self.origin())
             .abs()

@@ -4,7 +4,7 @@
 //! all handles get their rest poses. An edit of the rest shape keeps poses, and the result is solved with them. The
 //! deformer changes only when everything has succeeded.
 
-use super::adopt::SeenShape;
+use super::adopt::ShapeToEdit;
 use super::derived_structures::{DerivedStructures, TopologyChange};
 use super::edit_command::{
     CarriedHandles, EditCommand, EditKind, EditOutcome, EditReport, EditedShape, HeldVertices, carry_handles,
@@ -43,18 +43,18 @@ impl Deformer {
         if self.estimate().saturating_add(self.byte_size()) > self.room {
             self.forget_past();
         }
-        let seen = self.seen_shape(order, exec)?;
-        self.edit_seen(order, &seen, exec)
+        let seen = self.shape_to_edit(order, exec)?;
+        self.edit_shape(order, &seen, exec)
     }
 
-    /// As [`edit`](Self::edit), where [`seen_shape`](Self::seen_shape) of the edit is known.
+    /// As [`edit`](Self::edit), where [`shape_to_edit`](Self::shape_to_edit) of the edit is known.
     ///
     /// # Errors
     /// As `edit`.
-    pub fn edit_seen(
+    pub fn edit_shape(
         &mut self,
         order: &EditCommand<'_>,
-        seen: &SeenShape,
+        seen: &ShapeToEdit,
         exec: &Exec<'_>,
     ) -> Result<EditOutcome, Error> {
         exec.progress.report("edit", 0.0);

@@ -68,7 +68,7 @@ mod wrap;
 
 pub use crate::deform::{Guide, GuidePose, PoseStats, Quality, SolveUpdate};
 pub use crate::reference::Method;
-pub use adopt::SeenShape;
+pub use adopt::ShapeToEdit;
 pub use animation::{
     ANIMATION_QUALITY, AnimatedFrame, Animation, AnimationLimits, BLOCK_FRAMES, BoundModel, ClipRequest, ClipSource,
     FootFacts, FrameChoice, FrameCursor, FrameSource, FrameSums, FrameTimes, MadeRig, PlayedClipFile, PlayedForm,
