@@ -92,6 +92,41 @@ fn a_pose_rewrites_the_numbers_of_moved_vertices_alone() {
 }
 
 #[test]
+fn a_part_with_a_byte_order_mark_is_written_as_one_without() {
+    let plain = two_objects();
+    let marked = |text: &str| {
+        let parts = ["_rels/.rels", "3D/a.model"].map(|name| (name.to_owned(), part_of(&plain, name).into_bytes()));
+        let [relations, (name, model)] = parts;
+        pack(&[relations, (name, [text.as_bytes(), &model].concat())]).expect("a package")
+    };
+    let shifted = |bytes: Vec<u8>, and_apart: bool| {
+        let model = read(bytes).expect("readable");
+        let moved: Vec<DVec3> = model
+            .positions
+            .iter()
+            .map(|p| *p + DVec3::new(1.0, 2.0, 3.25))
+            .collect();
+        let written = match and_apart {
+            true => super::write::write_whole(&model, &moved),
+            false => model.write(&moved, Format::THREE_MF),
+        };
+        let written = written.expect("writable").main;
+        assert_eq!(read(written.clone()).expect("readable").positions, moved);
+        part_of(&written, "3D/a.model")
+    };
+    for and_apart in [false, true] {
+        let expected = shifted(marked(""), and_apart);
+        assert_eq!(shifted(marked("\u{feff}"), and_apart), format!("\u{feff}{expected}"));
+    }
+    let wide = |text: &str| text.encode_utf16().flat_map(u16::to_le_bytes).collect::<Vec<u8>>();
+    for mark in ["", "\u{feff}"] {
+        let text = wide(&format!("{mark}{}", part_of(&plain, "3D/a.model")));
+        let error = read(pack(&[("3D/a.model".to_owned(), text)]).expect("a package")).expect_err("UTF-16");
+        assert!(error.to_string().contains("UTF-16"), "{error}");
+    }
+}
+
+#[test]
 fn uses_of_one_mesh_that_move_apart_get_meshes_of_their_own() {
     let resources = format!(
         r#"<object id="7" name="twin" p:UUID="u">{}</object>"#,
