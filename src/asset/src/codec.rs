@@ -9,7 +9,7 @@ use super::files::ReadWatch;
 use super::look::SurfaceLook;
 use super::model::FileNotes;
 use super::moving_scene::{MovingScene, PlayedClip, PrimitiveShapes, SceneClip};
-use super::neutral::{NeutralModel, RunAttributes, RunPart};
+use super::neutral::{HeldLooks, NeutralModel, RunAttributes, RunPart};
 use super::vertex_attributes::AttributeKeys;
 use super::{Error, FileSet, FollowedCounts, Format, Geometry, Model, ModelNode, ShapeFollowers, WrittenFiles};
 use glam::DVec3;
@@ -80,9 +80,9 @@ pub(super) trait FormatCodec: Sync {
         None
     }
 
-    /// Whether files built in this format hold more of a model than its geometry.
-    fn takes_attributes(&self) -> bool {
-        true
+    /// What files of this format hold of how models of other formats look.
+    fn held_looks(&self) -> HeldLooks {
+        HeldLooks::ALL
     }
 
     /// Whether [`FormatCodec::write_edited`] takes a model whose first base came in `format`; others are built from

@@ -5,7 +5,7 @@ use super::edited::{self, CarriedAttributes, EditedModel, PrimitiveRun, RunFaces
 use super::files::ReadWatch;
 use super::formats::{codec_of, reader_of, translator_of};
 use super::model::is_same;
-use super::neutral::{NeutralModel, RunAttributes, RunPart};
+use super::neutral::{HeldLooks, NeutralModel, RunAttributes, RunPart};
 use super::{
     Error, FileSet, Following, Format, Limits, Model, ModelNode, ShapeFollowers, VertexAttributes, WrittenFiles,
     WrittenWarning,
@@ -208,13 +208,16 @@ impl Model {
             let problem = format!("points and lines without triangles come back as {} alone", self.format);
             Error::unwritable(format, problem)
         })?;
-        let neutral = if codec.takes_attributes() {
-            neutral_model(self, positions, format)?
-        } else {
+        let neutral = if codec.held_looks() == HeldLooks::NONE {
             NeutralModel::from_geometry(self.geometry.deformed(positions))
+        } else {
+            neutral_model(self, positions, format)?
         };
         let mut written = codec.build(&neutral, format)?;
-        let beyond = self.codec().beyond_conversion(self, false)?;
+        let mut beyond = self.codec().beyond_conversion(self, false)?;
+        beyond.extend(edited::with_whole_model(self, |edited| {
+            looks_beyond(edited, positions, format)
+        })?);
         written.warnings.extend(WrittenWarning::left_out(&beyond, format, ""));
         Ok(written)
     }
@@ -361,6 +364,8 @@ fn write_checked_edit(
         };
         beyond.extend(WrittenWarning::left_out(&things, format, &of));
     }
+    let looks = looks_beyond(edited, positions, format)?;
+    beyond.extend(WrittenWarning::left_out(&looks, format, ""));
     let mut written = if codec.edits(first.model.format) {
         write_into_frame(codec, edited, positions, format, followers)?
     } else {
@@ -368,6 +373,20 @@ fn write_checked_edit(
     };
     written.warnings.extend(beyond);
     Ok(written)
+}
+
+/// What a file of `format` does not hold of how bases of other formats look, in words.
+fn looks_beyond(edited: &EditedModel<'_>, positions: &[DVec3], format: Format) -> Result<Vec<String>, Error> {
+    let codec = codec_of(format);
+    let held = codec.held_looks();
+    let mut neutral = NeutralModel::default();
+    for (base, k) in edited.bases.iter().zip(0..) {
+        if held != HeldLooks::ALL && !codec.patches_files_of(base.model.format) {
+            // As a GLB would hold it, whose parts have one material each.
+            add_base(&mut neutral, edited, k, positions, Format::GLB)?;
+        }
+    }
+    Ok(neutral.looks_beyond(held))
 }
 
 /// Writes an edited model into the file of its first base.

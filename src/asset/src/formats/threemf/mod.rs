@@ -84,6 +84,10 @@ impl FormatCodec for ThreeMfCodec {
         true
     }
 
+    fn divides_at_seams(&self) -> bool {
+        true
+    }
+
     fn seam_parts(
         &self,
         edited: &EditedModel<'_>,
