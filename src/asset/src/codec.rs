@@ -74,6 +74,12 @@ pub(super) trait FormatCodec: Sync {
         Ok(Vec::new())
     }
 
+    /// The unit of the numbers of a model of this codec and how many metres it has; `None` where the format says none.
+    fn unit_of(&self, model: &Model) -> Option<(String, f64)> {
+        let _ = model;
+        None
+    }
+
     /// What positions within `bounds` are relative to in this format where they are single precision there; `None` where they are doubles.
     fn single_origin(&self, bounds: &BoundingBox) -> Option<DVec3> {
         let _ = bounds;

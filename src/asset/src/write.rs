@@ -15,6 +15,9 @@ use pliant_exec::progress::{Progress, Silent};
 use pliant_mesh::BoundingBox;
 use std::sync::OnceLock;
 
+/// The extension of Gaussian splats.
+const SPLATS_OF_GLTF: &str = "KHR_gaussian_splatting";
+
 impl Model {
     /// Reads a model. The format is `format` when given, else what the bytes say, else what the file name says. A format
     /// that is read only ([`Format::READ`]) becomes a model of another one, with that one's files.
@@ -50,7 +53,17 @@ impl Model {
         progress: &dyn Progress,
     ) -> Result<Self, Error> {
         let model = Self::read_passenger(files, format, limits, progress)?;
-        model.geometry.require_triangles(model.format)?;
+        model.geometry.require_triangles(model.format).map_err(|error| {
+            let beyond = model.codec().beyond_conversion(&model, false).unwrap_or_default();
+            match beyond.iter().any(|name| name == SPLATS_OF_GLTF) {
+                true => Error::NoMesh {
+                    format: model.format,
+                    problem: "Gaussian splats and no triangle; as ply, splat or spz they are a model of their own"
+                        .into(),
+                },
+                false => error,
+            }
+        })?;
         Ok(model)
     }
 
@@ -219,6 +232,7 @@ impl Model {
             looks_beyond(edited, positions, format)
         })?);
         written.warnings.extend(WrittenWarning::left_out(&beyond, format, ""));
+        written.warnings.extend(unit_warning(self, format));
         Ok(written)
     }
 
@@ -363,6 +377,7 @@ fn write_checked_edit(
             format!("of merged model {k} ")
         };
         beyond.extend(WrittenWarning::left_out(&things, format, &of));
+        beyond.extend(unit_warning(base.model, format));
     }
     let looks = looks_beyond(edited, positions, format)?;
     beyond.extend(WrittenWarning::left_out(&looks, format, ""));
@@ -373,6 +388,17 @@ fn write_checked_edit(
     };
     written.warnings.extend(beyond);
     Ok(written)
+}
+
+/// The warning of numbers in another unit than metres in a glTF, which has no other.
+fn unit_warning(model: &Model, format: Format) -> Option<WrittenWarning> {
+    let is_in_metres = codec_of(Format::GLB).patches_files_of(format);
+    let (unit, metres) = model.codec().unit_of(model).filter(|_| is_in_metres)?;
+    let message = format!(
+        "the {format} has the numbers of the {}, which are in {unit}s, and is in metres: scale it by {metres}",
+        model.format
+    );
+    (metres != 1.0).then(|| WrittenWarning::new("unit", message, ""))
 }
 
 /// What a file of `format` does not hold of how bases of other formats look, in words.

@@ -1,5 +1,6 @@
 //! The objects of a 3MF where they are built: one primitive for each use of a mesh.
 
+use super::looks;
 use super::package::{FORMAT, Package, refuse};
 use super::part::{BuildItem, Component, ModelPart, ObjectMesh, PrintObject, PropertyGroup, read_part};
 use crate::files::ReadWatch;
@@ -292,6 +293,16 @@ fn add_warnings(scene: &PrintScene, uses: &[MeshUse], geometry: &mut Geometry) {
         let message =
             format!("{idle} objects with meshes are not built; they stay in the file until an edit rewrites it");
         geometry.warn("objects-not-built", message, &root.name);
+    }
+    let missing = looks::missing_pictures(scene);
+    if !missing.is_empty() {
+        let names: Vec<&str> = missing.iter().map(String::as_str).take(MOST_LISTED).collect();
+        let more = if missing.len() > MOST_LISTED { " and others" } else { "" };
+        let message = format!(
+            "pictures that the package lacks, or that are neither PNG nor JPEG: {}{more}",
+            names.join(", ")
+        );
+        geometry.warn("image-missing", message, &root.name);
     }
     let foreign: BTreeSet<&str> = scene
         .parts

@@ -302,6 +302,34 @@ fn a_surface_of_several_materials_is_one_object_and_formats_without_materials_sa
 }
 
 #[test]
+fn units_of_a_gltf_and_pictures_that_are_none_are_told() {
+    let told = |written: &crate::WrittenFiles| {
+        let units = written.warnings.iter().filter(|w| w.code == "unit");
+        units.map(|w| w.message.clone()).collect::<Vec<_>>()
+    };
+    let inches = read(two_objects()).expect("readable");
+    let warning = told(&inches.write(&inches.positions, Format::GLB).expect("writable"));
+    assert!(warning[0].contains("scale it by 0.0254"), "{warning:?}");
+    assert!(told(&inches.write(&inches.positions, Format::OBJ).expect("writable")).is_empty());
+
+    let group = |picture: &str| {
+        format!(
+            r#"{picture}<m:texture2dgroup id="4" texid="3"><m:tex2coord u="0" v="0"/></m:texture2dgroup><object id="5" pid="4" pindex="0">{}</object>"#,
+            tetrahedron(["", "", "", ""])
+        )
+    };
+    let named = r#"<m:texture2d id="3" path="/3D/a.png" contenttype="image/png"/>"#;
+    let missing = |picture: &str, parts: &[(&str, &str)]| {
+        let model = read(package(&group(picture), r#"<item objectid="5"/>"#, parts)).expect("readable");
+        let warning = model.warnings.iter().find(|w| w.0 == "image-missing");
+        warning.map(|w| w.1.clone()).unwrap_or_default()
+    };
+    assert!(missing(named, &[]).ends_with(": /3D/a.png"));
+    assert!(missing(named, &[("3D/a.png", "no picture")]).ends_with(": /3D/a.png"));
+    assert!(missing("", &[]).ends_with(": resource 3"));
+}
+
+#[test]
 fn hostile_packages_are_refused_with_a_place() {
     let mesh = tetrahedron(["", "", "", ""]);
     let item = r#"<item objectid="1"/>"#;
