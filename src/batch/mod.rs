@@ -424,9 +424,7 @@ pub fn unmet_expectations(expect: Option<&pb::Expect>, report: &pb::Report) -> (
         (Some(most), Some(crossing)) if crossing > most => {
             unmet.push(format!("newSelfIntersections is {crossing}, at most {most} expected"));
         }
-        (Some(_), None) => {
-            unmet.push("newSelfIntersections is expected but not counted: the last step is no pose".into())
-        }
+        (Some(_), None) => unmet.push("newSelfIntersections is expected but not counted: the last step is no pose".into()),
         _ => {}
     }
     if let Some(most) = expect.volume_change.filter(|most| quality.volume_change.abs() > *most) {

@@ -123,9 +123,7 @@ impl Metric {
             }
             Self::ConstraintError => (MetricUnit::Diagonal, MetricKind::Growth),
             Self::Residual => (MetricUnit::Ratio, MetricKind::Growth),
-            Self::FoldedTriangles | Self::NewSelfIntersections | Self::Cycles | Self::Bytes => {
-                (MetricUnit::Count, MetricKind::Growth)
-            }
+            Self::FoldedTriangles | Self::NewSelfIntersections | Self::Cycles | Self::Bytes => (MetricUnit::Count, MetricKind::Growth),
         }
     }
 

@@ -199,9 +199,7 @@ fn a_job_that_expects_no_new_crossings_has_them_counted() {
     };
     let run = |job: String, code: i32| {
         folder.put("job.json", job);
-        folder
-            .run("deform model.obj --job job.json -o out.obj --force --json")
-            .exits(code)
+        folder.run("deform model.obj --job job.json -o out.obj --force --json").exits(code)
     };
     let ran = run(job(-2.7, 0), 1);
     ran.gives(&["newSelfIntersections is ", ", at most 0 expected"]);

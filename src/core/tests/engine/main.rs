@@ -13,6 +13,7 @@ mod lines;
 mod parts;
 mod passengers;
 mod skinning;
+mod splat_models;
 mod splats;
 mod vertex_targets;
 mod wrap;

@@ -4,8 +4,8 @@ use glam::{DMat3, DQuat, DVec3};
 use pliant_core::asset::{FileSet, Following, Format, LargeSplatRule, Limits, Splats, shapes};
 use pliant_core::edit::KeptSide;
 use pliant_core::engine::{
-    CarriedModel, CutLine, Deformer, DeformerLimits, Edit, EditCommand, EditedShape, Handle, HandlePose, HandleScale,
-    OpenOptions, Plane, Region, SolveSettings,
+    CarriedModel, CutLine, Deformer, DeformerLimits, Edit, EditCommand, EditedShape, Handle, HandlePose, OpenOptions,
+    Plane, Region, SolveSettings,
 };
 use pliant_core::exec::Exec;
 use pliant_core::mesh::carry::{CarriedFrame, CarriedSpace, SurfaceCarrier};
@@ -15,7 +15,7 @@ use pliant_core::progress::Silent;
 use std::fmt::Write as _;
 
 /// A bar from y = 0 to 4, with splats in it, on it and beside it: long along the bar, red on one side.
-fn bar() -> (FileSet, FileSet, Vec<DVec3>) {
+pub(super) fn bar() -> (FileSet, FileSet, Vec<DVec3>) {
     let (points, faces) = shapes::box_with_cells(DVec3::new(0.5, 4.0, 0.5), [4, 32, 4]);
     let points: Vec<DVec3> = points.iter().map(|p| *p - DVec3::new(0.25, 0.0, 0.25)).collect();
     let mut text = String::new();
@@ -40,7 +40,7 @@ fn bar() -> (FileSet, FileSet, Vec<DVec3>) {
 }
 
 /// Splats of that length along y, a third as wide, with harmonics of degree 3, as text.
-fn splats_at(centers: &[DVec3], length: f64) -> String {
+pub(super) fn splats_at(centers: &[DVec3], length: f64) -> String {
     let mut text = format!("ply\nformat ascii 1.0\nelement vertex {}\n", centers.len());
     let names = [
         "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
@@ -102,7 +102,7 @@ fn carried(files: FileSet, output: Option<Format>) -> CarriedModel {
 }
 
 /// The numbers of the splats of a text, one row each.
-fn rows(text: &[u8]) -> Vec<Vec<f64>> {
+pub(super) fn rows(text: &[u8]) -> Vec<Vec<f64>> {
     let text = String::from_utf8_lossy(text).into_owned();
     let body = text.split_once("end_header\n").expect("a header").1.lines();
     body.map(|line| line.split(' ').map(|word| word.parse().expect("a number")).collect())
@@ -285,7 +285,7 @@ fn a_mesh_is_not_written_as_splats_and_splats_not_as_a_mesh_and_not_merged() {
 }
 
 /// The splats of [`bar`] as a model of their own.
-fn own_model(splats: &FileSet, exec: &Exec<'_>) -> Deformer {
+pub(super) fn own_model(splats: &FileSet, exec: &Exec<'_>) -> Deformer {
     let limits = DeformerLimits::default();
     Deformer::open(splats.clone(), &OpenOptions::default(), &limits, exec).expect("splats")
 }
@@ -440,74 +440,8 @@ fn what_an_edit_takes_takes_its_splats_along_and_the_others_ride_on() {
     }
 }
 
-#[test]
-fn splats_of_a_stretched_and_unbent_model_are_not_divided() {
-    let pool = Pool::new(2).expect("threads");
-    let exec = Exec::new(&pool, &Silent);
-    let centers: Vec<DVec3> = bar().2;
-    let long = FileSet::single("long.ply", splats_at(&centers, 0.2));
-    let mut deformer = own_model(&long, &exec);
-    let all = Handle::new("all", Region::half_space([0.0, 1.0, 0.0], -9.0));
-    deformer.set_handles([all], &exec).expect("a handle");
-    let pose = HandlePose {
-        scale: Some(HandleScale::PerAxis(DVec3::new(2.0, 1.0, 0.5))),
-        ..HandlePose::default()
-    }
-    .about([0.0; 3]);
-    let solved = deformer
-        .commit([("all", pose)], &SolveSettings::default(), &exec)
-        .expect("solved");
-    let written = deformer.write(&solved.positions, Format::PLY, &exec).expect("written");
-    assert_eq!(rows(&written.main).len(), centers.len(), "{:?}", written.warnings);
-}
-
-#[test]
-fn a_cap_over_a_cut_through_a_posed_shape_changes_no_splat() {
-    let pool = Pool::new(2).expect("threads");
-    let exec = Exec::new(&pool, &Silent);
-    let mut deformer = own_model(&bar().1, &exec);
-    let all = Handle::new("all", Region::half_space([0.0, 1.0, 0.0], -9.0));
-    deformer.set_handles([all], &exec).expect("a handle");
-    let turn = exp_rotation(DVec3::new(0.0, 0.0, 0.7));
-    let pose = HandlePose::translation([1.0, 0.0, 0.0])
-        .rotated([0.0, 0.0, 0.7])
-        .about([0.0; 3]);
-    let solved = deformer
-        .commit([("all", pose)], &SolveSettings::default(), &exec)
-        .expect("solved");
-    let edit = Edit::Cut {
-        along: CutLine::Plane(Plane {
-            normal: DVec3::Z,
-            offset: 0.05,
-        }),
-        keep: KeptSide::Below,
-        fill: true,
-        cap: None,
-    };
-    let command = EditCommand {
-        edit: &edit,
-        on: EditedShape::Current,
-        shape: &solved,
-        poses: &deformer.initial_poses(),
-        settings: None,
-    };
-    deformer.edit(&command, &exec).expect("edited");
-    let rest = deformer.rest().to_vec();
-    let written = deformer.write(&rest, Format::PLY, &exec).expect("written");
-    let kept = rows(&written.main);
-    assert!(kept.len().abs_diff(80) <= 8, "{}", kept.len());
-    for row in &kept {
-        let own = DQuat::from_xyzw(row[11], row[12], row[13], row[10]);
-        // Its other axes are of one length, and may turn about this one.
-        assert!((own * DVec3::Y).dot(turn * DVec3::Y).abs() > 1.0 - 1e-6, "{own}");
-        for (scale, wanted) in row[7..10].iter().zip([0.01f64, 0.03, 0.01]) {
-            assert!((scale - wanted.ln()).abs() < 1e-3, "{scale} {}", wanted.ln());
-        }
-    }
-}
-
 /// The bar of [`bar`] with its splats in one glTF, under a node that turns and enlarges both; and the names of its harmonics.
-fn gltf_of_bar(node: &str) -> (FileSet, Vec<String>) {
+pub(super) fn gltf_of_bar(node: &str) -> (FileSet, Vec<String>) {
     let (points, faces) = shapes::box_with_cells(DVec3::new(0.5, 4.0, 0.5), [4, 32, 4]);
     let points = points.iter().map(|p| *p - DVec3::new(0.25, 0.0, 0.25));
     let (_, splats, centers) = bar();
@@ -643,43 +577,4 @@ fn splats_of_a_gltf_turn_with_a_rigid_move_as_the_formula_says() {
             }
         }
     }
-}
-
-#[test]
-fn splats_of_a_gltf_without_a_shape_are_told_and_those_without_a_mesh_are_refused_by_name() {
-    let pool = Pool::new(1).expect("a thread");
-    let exec = Exec::new(&pool, &Silent);
-    let limits = DeformerLimits::default();
-    let changed = |from: &str, to: &str| {
-        let (mut files, _) = gltf_of_bar("");
-        let text = String::from_utf8_lossy(&files.main).into_owned();
-        assert!(text.contains(from), "{from}");
-        files.main = text.replace(from, to).into();
-        files
-    };
-    let unsound = |files: FileSet| {
-        let deformer = Deformer::open(files, &OpenOptions::default(), &limits, &exec).expect("a bar");
-        let moved: Vec<DVec3> = deformer.rest().iter().map(|p| *p + DVec3::X).collect();
-        let written = deformer.write(&moved, Format::GLTF, &exec).expect("written");
-        let warning = written.warnings.into_iter().find(|w| w.code == "splats-unsound");
-        warning.map(|w| w.message)
-    };
-    assert_eq!(unsound(gltf_of_bar("").0), None);
-    // A rotation that is missing, and scales that are negative: those of the harmonics are.
-    let without = unsound(changed("\"KHR_gaussian_splatting:ROTATION\":3,", ""));
-    assert!(without.is_some_and(|message| message.starts_with("160 splats have no rotation")));
-    let negative = changed(
-        "\"KHR_gaussian_splatting:SCALE\":4",
-        "\"KHR_gaussian_splatting:SCALE\":5",
-    );
-    assert!(unsound(negative).is_some());
-
-    let alone = changed("{\"attributes\":{\"POSITION\":1},\"indices\":0},", "");
-    let refused = Deformer::open(alone, &OpenOptions::default(), &limits, &exec)
-        .err()
-        .expect("no surface");
-    assert!(
-        refused.to_string().contains("Gaussian splats and no triangle"),
-        "{refused}"
-    );
 }

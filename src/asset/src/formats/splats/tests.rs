@@ -397,7 +397,7 @@ fn centres_that_a_file_rounds_by_more_than_is_seen_are_told() {
     for format in [Format::SPZ, Format::SPLAT] {
         assert_eq!(rounded(&splats, format), None);
     }
-    // One stray splat takes the steps of all.
+    // One splat far away makes the steps of all larger.
     splats.centers[2] = DVec3::new(30_000.1, 0.0, 0.0);
     let message = rounded(&splats, Format::SPZ).expect("rounded");
     assert!(

@@ -7,11 +7,8 @@ use crate::edited::{EditedModel, PrimitiveRun, TriangleOrigins};
 use crate::look::{AlphaMode, BaseLook, MaterialPicture, NamedMaterial, inside_folder};
 use crate::neutral::{RunAttributes, RunPart};
 use pliant_mesh::NONE;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::Arc;
-
-/// Letters of the name of a picture that a warning shows.
-const LONGEST_NAME: usize = 80;
 
 /// The property of a triangle: its group in a part, and a place in it for each corner.
 pub(super) type TriangleProperty = (usize, u32, [u32; 3]);
@@ -184,23 +181,6 @@ fn corner_looks(edited: &EditedModel<'_>, run: &PrimitiveRun, properties: &UsePr
         looks.has_colours.push(has_colours);
     }
     looks
-}
-
-/// The pictures that groups of texture coordinates name and that are none, each by its part or the number of its resource.
-pub(super) fn missing_pictures(scene: &PrintScene) -> BTreeSet<String> {
-    let mut missing = BTreeSet::new();
-    for part in &scene.parts {
-        for group in part.groups.values() {
-            let PropertyGroup::Picture(id, _) = group else { continue };
-            let own = part.pictures.get(id);
-            let bytes = own.and_then(|own| own.bytes.as_deref()).unwrap_or_default();
-            if !bytes.starts_with(b"\x89PNG") && !bytes.starts_with(b"\xff\xd8") {
-                let name = own.map(|own| own.path.chars().take(LONGEST_NAME).collect());
-                missing.insert(name.unwrap_or_else(|| format!("resource {id}")));
-            }
-        }
-    }
-    missing
 }
 
 /// A run divided so that every part has one material and every vertex one colour and texture coordinate.

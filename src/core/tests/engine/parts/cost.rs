@@ -1,8 +1,8 @@
 //! What ties cost: `cargo test --release -p pliant-core --test engine -- --ignored cost --nocapture`. In soups in which every
 //! triangle is a part of its own, time and memory stay in proportion to them.
 
-use super::sweep::models_of_parts;
 use crate::data;
+use super::sweep::models_of_parts;
 use glam::DVec3;
 use pliant_core::asset::shapes::Shape;
 use pliant_core::asset::{Limits, Model};

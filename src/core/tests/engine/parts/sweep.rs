@@ -1,7 +1,7 @@
 //! Every model of several parts, bent: held at one end, turned by 45° at the other.
 
-use super::shapes::{obj, offset_errors, quantile, side_by_side};
 use crate::data;
+use super::shapes::{obj, offset_errors, quantile, side_by_side};
 use glam::DVec3;
 use pliant_core::asset::FileSet;
 use pliant_core::engine::{Deformer, DeformerLimits, Handle, HandlePose, OpenOptions, Region, SolveSettings};
