@@ -395,7 +395,7 @@ fn unit_warning(model: &Model, format: Format) -> Option<WrittenWarning> {
     let is_in_metres = codec_of(Format::GLB).patches_files_of(format);
     let (unit, metres) = model.codec().unit_of(model).filter(|_| is_in_metres)?;
     let message = format!(
-        "the {format} has the numbers of the {}, which are in {unit}s, and is in metres: scale it by {metres}",
+        "the {format} has the numbers of the {}, of which the unit is {unit}, and is in metres: scale it by {metres}",
         model.format
     );
     (metres != 1.0).then(|| WrittenWarning::new("unit", message, ""))
