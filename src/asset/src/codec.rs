@@ -9,7 +9,7 @@ use super::files::ReadWatch;
 use super::look::SurfaceLook;
 use super::model::FileNotes;
 use super::moving_scene::{BlendShapes, MovingScene, PlayedClip, PrimitiveShapes, SceneClip};
-use super::neutral::{NeutralModel, RunAttributes, RunPart};
+use super::neutral::{HeldLooks, NeutralModel, RunAttributes, RunPart};
 use super::vertex_attributes::AttributeKeys;
 use super::{Error, FileSet, FollowedCounts, Format, Geometry, Model, ModelNode, ShapeFollowers, WrittenFiles};
 use glam::DVec3;
@@ -80,15 +80,21 @@ pub(super) trait FormatCodec: Sync {
         Ok(Vec::new())
     }
 
+    /// The unit of the numbers of a model of this codec and how many metres it has; `None` where the format says none.
+    fn unit_of(&self, model: &Model) -> Option<(String, f64)> {
+        let _ = model;
+        None
+    }
+
     /// What positions within `bounds` are relative to in this format where they are single precision there; `None` where they are doubles.
     fn single_origin(&self, bounds: &BoundingBox) -> Option<DVec3> {
         let _ = bounds;
         None
     }
 
-    /// Whether files built in this format hold more of a model than its geometry.
-    fn takes_attributes(&self) -> bool {
-        true
+    /// What files of this format hold of how models of other formats look.
+    fn held_looks(&self) -> HeldLooks {
+        HeldLooks::ALL
     }
 
     /// Whether [`FormatCodec::write_edited`] takes a model whose first base came in `format`; others are built from

@@ -6,6 +6,7 @@ use super::moving_scene::{
     BlendShapes, ClipBeside, MorphClip, MovingScene, NodeKeys, PlayedClip, PlayedJoint, PrimitiveShapes, SceneClip,
     SkinnedClip,
 };
+use super::neutral::HeldLooks;
 use super::write::neutral_model;
 use super::{Error, Format, Limits, Model, WrittenFiles};
 
@@ -32,7 +33,7 @@ impl Model {
     pub fn drawn(&self) -> Result<DrawnModel, Error> {
         let codec = self.codec();
         let look = match codec.surface_look(self)? {
-            None if codec.takes_attributes() => return self.drawn_with_copies(),
+            None if codec.held_looks() != HeldLooks::NONE => return self.drawn_with_copies(),
             None => SurfaceLook::of_materials(self.primitives.iter().map(|_| None)),
             Some(look) => look,
         };

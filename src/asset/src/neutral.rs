@@ -3,7 +3,8 @@
 //! Texture coordinates count from the upper left corner of the picture, as in glTF.
 
 use super::edited::{CarriedAttributes, EditedModel, PrimitiveRun, RunFaces};
-use super::look::{BaseLook, NamedMaterial, PicturePlacing};
+use super::files::counted;
+use super::look::{BaseLook, MaterialPicture, NamedMaterial, PicturePlacing};
 use super::{Error, Format, Geometry, Primitive};
 use glam::{DVec3, Vec3};
 use std::collections::BTreeMap;
@@ -45,6 +46,32 @@ pub(super) struct PrimitiveAttributes {
     pub material: Option<Arc<NamedMaterial>>,
     /// Its faces, where some have more than three corners.
     pub faces: Option<RunFaces>,
+    /// The first triangle of the run that it is a part of: parts of one run are parts of one surface.
+    pub of_run: u32,
+}
+
+/// What files of a format hold of how a model looks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct HeldLooks {
+    /// Materials and their pictures.
+    pub materials: bool,
+    /// Texture coordinates.
+    pub coordinates: bool,
+    /// Colours of vertices.
+    pub colours: bool,
+}
+
+impl HeldLooks {
+    pub const ALL: Self = Self {
+        materials: true,
+        coordinates: true,
+        colours: true,
+    };
+    pub const NONE: Self = Self {
+        materials: false,
+        coordinates: false,
+        colours: false,
+    };
 }
 
 /// What one run of an edited model has beyond its geometry, as its format reads it from the files.
@@ -224,6 +251,9 @@ impl NeutralModel {
         let triangles = part.source_triangles.iter();
         self.source_triangles.extend(triangles.map(|t| run.first_triangle + t));
         self.push_attributes(part.attributes);
+        if let Some(own) = self.attributes.last_mut() {
+            own.of_run = run.first_triangle;
+        }
         Ok(())
     }
 
@@ -246,6 +276,34 @@ impl NeutralModel {
             }
         }
         Some(runs)
+    }
+
+    /// What of its looks files that hold these do not hold, in words.
+    pub fn looks_beyond(&self, held: HeldLooks) -> Vec<String> {
+        let mut materials: Vec<&NamedMaterial> = Vec::new();
+        let mut pictures: Vec<&MaterialPicture> = Vec::new();
+        for material in self.attributes.iter().filter_map(|own| own.material.as_deref()) {
+            if !materials.contains(&material) {
+                materials.push(material);
+            }
+            let own = material.look.as_ref();
+            for picture in own
+                .into_iter()
+                .flat_map(|look| look.picture.iter().chain(&look.normals))
+            {
+                if !pictures.contains(&picture) {
+                    pictures.push(picture);
+                }
+            }
+        }
+        let has_uv = !self.uv.is_empty() || !self.corner_uv.is_empty();
+        let lost = [
+            counted(materials.len(), "material", "materials").filter(|_| !held.materials),
+            counted(pictures.len(), "picture", "pictures").filter(|_| !held.materials),
+            (has_uv && !held.coordinates).then(|| "texture coordinates".to_owned()),
+            (!self.colours.is_empty() && !held.colours).then(|| "colours of vertices".to_owned()),
+        ];
+        lost.into_iter().flatten().collect()
     }
 
     /// The texture coordinates of a corner of a primitive, by corner or by vertex; `None` where it has none.
@@ -312,6 +370,7 @@ impl NeutralModel {
             has_corner_uv: !corner_uv.is_empty(),
             material,
             faces,
+            of_run: 0,
         });
         if !corner_uv.is_empty() || !self.corner_uv.is_empty() {
             let corners = 3 * self.geometry.triangles.len();

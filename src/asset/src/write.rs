@@ -5,7 +5,7 @@ use super::edited::{self, CarriedAttributes, EditedModel, PrimitiveRun, RunFaces
 use super::files::ReadWatch;
 use super::formats::{codec_of, reader_of, translator_of};
 use super::model::is_same;
-use super::neutral::{NeutralModel, RunAttributes, RunPart};
+use super::neutral::{HeldLooks, NeutralModel, RunAttributes, RunPart};
 use super::{
     Error, FileSet, Following, Format, Limits, Model, ModelNode, ShapeFollowers, VertexAttributes, WrittenFiles,
     WrittenWarning,
@@ -14,6 +14,9 @@ use glam::DVec3;
 use pliant_exec::progress::{Progress, Silent};
 use pliant_mesh::BoundingBox;
 use std::sync::OnceLock;
+
+/// The extension of Gaussian splats.
+const SPLATS_OF_GLTF: &str = "KHR_gaussian_splatting";
 
 impl Model {
     /// Reads a model. The format is `format` when given, else what the bytes say, else what the file name says. A format
@@ -50,7 +53,17 @@ impl Model {
         progress: &dyn Progress,
     ) -> Result<Self, Error> {
         let model = Self::read_passenger(files, format, limits, progress)?;
-        model.geometry.require_triangles(model.format)?;
+        model.geometry.require_triangles(model.format).map_err(|error| {
+            let beyond = model.codec().beyond_conversion(&model, false).unwrap_or_default();
+            match beyond.iter().any(|name| name == SPLATS_OF_GLTF) {
+                true => Error::NoMesh {
+                    format: model.format,
+                    problem: "Gaussian splats and no triangle; as ply, splat or spz they are a model of their own"
+                        .into(),
+                },
+                false => error,
+            }
+        })?;
         Ok(model)
     }
 
@@ -224,14 +237,18 @@ impl Model {
             let problem = format!("points and lines without triangles come back as {} alone", self.format);
             Error::unwritable(format, problem)
         })?;
-        let neutral = if codec.takes_attributes() {
-            neutral_model(self, positions, format)?
-        } else {
+        let neutral = if codec.held_looks() == HeldLooks::NONE {
             NeutralModel::from_geometry(self.geometry.deformed(positions))
+        } else {
+            neutral_model(self, positions, format)?
         };
         let mut written = codec.build(&neutral, format)?;
-        let beyond = self.codec().beyond_conversion(self, false)?;
+        let mut beyond = self.codec().beyond_conversion(self, false)?;
+        beyond.extend(edited::with_whole_model(self, |edited| {
+            looks_beyond(edited, positions, format)
+        })?);
         written.warnings.extend(WrittenWarning::left_out(&beyond, format, ""));
+        written.warnings.extend(unit_warning(self, format));
         Ok(written)
     }
 
@@ -376,7 +393,10 @@ fn write_checked_edit(
             format!("of merged model {k} ")
         };
         beyond.extend(WrittenWarning::left_out(&things, format, &of));
+        beyond.extend(unit_warning(base.model, format));
     }
+    let looks = looks_beyond(edited, positions, format)?;
+    beyond.extend(WrittenWarning::left_out(&looks, format, ""));
     let mut written = if codec.edits(first.model.format) {
         write_into_frame(codec, edited, positions, format, followers)?
     } else {
@@ -384,6 +404,31 @@ fn write_checked_edit(
     };
     written.warnings.extend(beyond);
     Ok(written)
+}
+
+/// The warning of numbers in another unit than metres in a glTF, which has no other.
+fn unit_warning(model: &Model, format: Format) -> Option<WrittenWarning> {
+    let is_in_metres = codec_of(Format::GLB).patches_files_of(format);
+    let (unit, metres) = model.codec().unit_of(model).filter(|_| is_in_metres)?;
+    let message = format!(
+        "the {format} has the numbers of the {}, of which the unit is {unit}, and is in metres: scale it by {metres}",
+        model.format
+    );
+    (metres != 1.0).then(|| WrittenWarning::new("unit", message, ""))
+}
+
+/// What a file of `format` does not hold of how bases of other formats look, in words.
+fn looks_beyond(edited: &EditedModel<'_>, positions: &[DVec3], format: Format) -> Result<Vec<String>, Error> {
+    let codec = codec_of(format);
+    let held = codec.held_looks();
+    let mut neutral = NeutralModel::default();
+    for (base, k) in edited.bases.iter().zip(0..) {
+        if held != HeldLooks::ALL && !codec.patches_files_of(base.model.format) {
+            // As a GLB would hold it, whose parts have one material each.
+            add_base(&mut neutral, edited, k, positions, Format::GLB)?;
+        }
+    }
+    Ok(neutral.looks_beyond(held))
 }
 
 /// Writes an edited model into the file of its first base.

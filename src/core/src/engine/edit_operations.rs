@@ -344,7 +344,10 @@ pub(super) fn read_other(
     };
     let (files, limits) = (other.files.clone(), limits.of_reading());
     if Splats::format_of(&files, other.format).is_some() {
-        let problem = "is of Gaussian splats, which have no surface; give the file as a passenger";
+        let problem = match kind {
+            EditKind::Merge => "is of Gaussian splats, which have no surface; give the file as a passenger",
+            _ => "is of Gaussian splats, which have no surface; give a mesh",
+        };
         return Err(Error::invalid(format!("{}.{source}", kind.name()), problem));
     }
     let model = Model::read_watched(files, other.format, &limits, exec.progress).map_err(|e| unfit(e.into()))?;

@@ -14,6 +14,7 @@ mod lines;
 mod parts;
 mod passengers;
 mod skinning;
+mod splat_models;
 mod splats;
 mod transfer;
 mod vertex_targets;

@@ -15,7 +15,7 @@ use pliant_core::progress::Silent;
 use std::fmt::Write as _;
 
 /// A bar from y = 0 to 4, with splats in it, on it and beside it: long along the bar, red on one side.
-fn bar() -> (FileSet, FileSet, Vec<DVec3>) {
+pub(super) fn bar() -> (FileSet, FileSet, Vec<DVec3>) {
     let (points, faces) = shapes::box_with_cells(DVec3::new(0.5, 4.0, 0.5), [4, 32, 4]);
     let points: Vec<DVec3> = points.iter().map(|p| *p - DVec3::new(0.25, 0.0, 0.25)).collect();
     let mut text = String::new();
@@ -40,7 +40,7 @@ fn bar() -> (FileSet, FileSet, Vec<DVec3>) {
 }
 
 /// Splats of that length along y, a third as wide, with harmonics of degree 3, as text.
-fn splats_at(centers: &[DVec3], length: f64) -> String {
+pub(super) fn splats_at(centers: &[DVec3], length: f64) -> String {
     let mut text = format!("ply\nformat ascii 1.0\nelement vertex {}\n", centers.len());
     let names = [
         "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
@@ -102,7 +102,7 @@ fn carried(files: FileSet, output: Option<Format>) -> CarriedModel {
 }
 
 /// The numbers of the splats of a text, one row each.
-fn rows(text: &[u8]) -> Vec<Vec<f64>> {
+pub(super) fn rows(text: &[u8]) -> Vec<Vec<f64>> {
     let text = String::from_utf8_lossy(text).into_owned();
     let body = text.split_once("end_header\n").expect("a header").1.lines();
     body.map(|line| line.split(' ').map(|word| word.parse().expect("a number")).collect())
@@ -285,7 +285,7 @@ fn a_mesh_is_not_written_as_splats_and_splats_not_as_a_mesh_and_not_merged() {
 }
 
 /// The splats of [`bar`] as a model of their own.
-fn own_model(splats: &FileSet, exec: &Exec<'_>) -> Deformer {
+pub(super) fn own_model(splats: &FileSet, exec: &Exec<'_>) -> Deformer {
     let limits = DeformerLimits::default();
     Deformer::open(splats.clone(), &OpenOptions::default(), &limits, exec).expect("splats")
 }
@@ -441,7 +441,7 @@ fn what_an_edit_takes_takes_its_splats_along_and_the_others_ride_on() {
 }
 
 /// The bar of [`bar`] with its splats in one glTF, under a node that turns and enlarges both; and the names of its harmonics.
-fn gltf_of_bar(node: &str) -> (FileSet, Vec<String>) {
+pub(super) fn gltf_of_bar(node: &str) -> (FileSet, Vec<String>) {
     let (points, faces) = shapes::box_with_cells(DVec3::new(0.5, 4.0, 0.5), [4, 32, 4]);
     let points = points.iter().map(|p| *p - DVec3::new(0.25, 0.0, 0.25));
     let (_, splats, centers) = bar();

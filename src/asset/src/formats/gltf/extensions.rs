@@ -166,11 +166,15 @@ pub(super) fn doubtful_extensions(doc: &GltfDocument<'_>, is_edited: bool, rig: 
         .map(String::as_str)
         .collect();
     let stays = if names.len() == 1 { "stays" } else { "stay" };
+    let follows = match names.contains(&"KHR_gaussian_splatting") {
+        true => "; of Gaussian splats the centres follow, not their rotations, scales and harmonics",
+        false => "",
+    };
     (!names.is_empty()).then(|| {
         WrittenWarning::new(
             "extension-kept",
             format!(
-                "{} {stays} as stored; what an extension says of places, sizes or vertices may not fit the new shape",
+                "{} {stays} as stored; what an extension says of places, sizes or vertices may not fit the new shape{follows}",
                 names.join(", ")
             ),
             "extensionsUsed",

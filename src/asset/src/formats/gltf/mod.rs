@@ -154,6 +154,7 @@ impl FormatCodec for GltfCodec {
                 .extend(extensions::doubtful_extensions(&doc, false, followers.rules.rig));
             let rounded = deformed::rounded_places(&doc, notes, positions, format)?;
             written.warnings.extend(rounded);
+            written.warnings.extend(splats::unsound(&doc, notes)?);
         }
         self_contained_if_new(written, model.format, format)
     }

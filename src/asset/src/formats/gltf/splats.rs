@@ -2,17 +2,43 @@
 //!
 //! Scales are standard deviations, rotations quaternions x, y, z, w; harmonics are those of 3DGS, three colours in each attribute.
 
-use super::super::splats::{SplatAttributes, Splats};
+use super::super::splats::{SplatAttributes, Splats, unsound_warning};
 use super::accessors::ShapeAttribute;
 use super::deformed::RowWriter;
+use super::document::GltfDocument;
+use super::read::GltfNotes;
 use super::targets::{AttributeSlot, ChangedAttribute};
-use crate::Error;
+use crate::{Error, WrittenWarning};
 use glam::{DQuat, DVec3};
 use pliant_exec::Exec;
 use pliant_exec::pool::Pool;
 use pliant_exec::progress::Silent;
 use pliant_mesh::carry::{CarriedFrame, CarriedSpace, SurfaceCarrier};
 use pliant_mesh::rotation::nearest_rotation;
+
+/// The warning of splats in a file that turn and stretch with nothing.
+pub(super) fn unsound(doc: &GltfDocument<'_>, notes: &GltfNotes) -> Result<Option<WrittenWarning>, Error> {
+    let mut count = 0;
+    for row in &notes.rows {
+        let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
+        let turns = doc.read_attribute(primitive, ShapeAttribute::SplatTurn)?;
+        let scales = doc.read_attribute(primitive, ShapeAttribute::SplatScale)?;
+        count += match (turns, scales) {
+            (None, None) => 0,
+            (Some(turns), Some(scales)) if 3 * turns.len() == 4 * scales.len() => {
+                let harmonics = Vec::new();
+                let numbers = SplatAttributes {
+                    turns,
+                    scales,
+                    harmonics,
+                };
+                numbers.unsound()
+            }
+            _ => row.vertices.len(),
+        };
+    }
+    Ok(unsound_warning(count))
+}
 
 impl RowWriter<'_, '_> {
     /// What the attributes of splats become; nothing for primitives that are of none.

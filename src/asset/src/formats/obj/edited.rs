@@ -339,25 +339,10 @@ pub(super) fn run_attributes(edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -
     };
     let model = edited.base(first).model;
     let statements = read_statements(&model.files.main);
-    let lanes = statements.more_lanes;
-    let colour = |vertex: usize| {
-        let mut colour = [0.0, 0.0, 0.0, 1.0];
-        for (v, weight) in edited.blend(vertex).iter() {
-            for lane in 0..3 {
-                let old = statements.more.get(v as usize * lanes + lane).copied().unwrap_or(0.0);
-                colour[lane] += old * weight;
-            }
-        }
-        colour.map(|c| (c as f32).clamp(0.0, 1.0))
-    };
     let library = read_libraries(&model.files, &statements.libraries);
     let material_of = |line: &[u8]| material_named(&library, line);
     let one = |run: &&PrimitiveRun| RunAttributes {
-        colours: if lanes == 3 {
-            run.vertices().map(colour).collect()
-        } else {
-            Vec::new()
-        },
+        colours: colours_of(edited, run, &statements),
         material: statements.states.first().and_then(|s| s.material).map(&material_of),
         ..RunAttributes::default()
     };
@@ -367,6 +352,23 @@ pub(super) fn run_attributes(edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -
         attributes
     };
     runs.iter().map(coordinates).collect()
+}
+
+/// The colours of the vertices of a run; none where its base has none.
+fn colours_of(edited: &EditedModel<'_>, run: &PrimitiveRun, statements: &ObjStatements<'_>) -> Vec<[f32; 4]> {
+    let colour = |vertex: usize| {
+        let mut colour = [0.0, 0.0, 0.0, 1.0];
+        for (v, weight) in edited.blend(vertex).iter() {
+            for (lane, sum) in colour.iter_mut().take(3).enumerate() {
+                *sum += statements.more.get(v as usize * 3 + lane).copied().unwrap_or(0.0) * weight;
+            }
+        }
+        colour.map(|c| (c as f32).clamp(0.0, 1.0))
+    };
+    match statements.more_lanes {
+        3 => run.vertices().map(colour).collect(),
+        _ => Vec::new(),
+    }
 }
 
 /// The material that a `usemtl` line names, with what a library says of it.
@@ -391,6 +393,7 @@ pub(super) fn seam_parts(edited: &EditedModel<'_>, run: &PrimitiveRun, positions
     let mut groups: Vec<_> = of_material.into_iter().collect();
     groups.sort_by_key(|(_, triangles)| triangles.first().copied());
     let uv: Vec<[f32; 2]> = parted.textures.iter().map(pair_of).collect();
+    let colours = colours_of(edited, run, &statements);
     let is_whole = groups.len() == 1;
     let one = |(material, triangles): (Option<&[u8]>, Vec<u32>)| {
         let vertices = if is_whole {
@@ -404,6 +407,8 @@ pub(super) fn seam_parts(edited: &EditedModel<'_>, run: &PrimitiveRun, positions
         };
         let mut part = seam_part(&parted, &uv, vertices, triangles);
         part.attributes.material = material.map(|line| material_named(&library, line));
+        let own = part.copy_of.iter().filter_map(|v| colours.get(*v as usize).copied());
+        part.attributes.colours = own.collect();
         part
     };
     groups.into_iter().map(one).collect()

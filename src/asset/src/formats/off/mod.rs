@@ -11,7 +11,7 @@ use super::text::{NumberPrecision, TextLexer, integer, number, push_number, push
 use crate::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile, patch_text_file};
 use crate::edited::{CarriedAttributes, EditedModel, FaceOutlines, PrimitiveRun, RunFaces, TriangleOrigins};
 use crate::files::ReadWatch;
-use crate::neutral::{NeutralModel, RunAttributes};
+use crate::neutral::{HeldLooks, NeutralModel, RunAttributes};
 use crate::vertex_attributes::{AttributeKeys, hash_bytes};
 use crate::{Error, FileSet, Format, Model, WrittenFiles};
 use glam::Vec3;
@@ -37,6 +37,13 @@ impl FormatCodec for OffCodec {
 
     fn build(&self, neutral: &NeutralModel, _: Format) -> Result<WrittenFiles, Error> {
         Ok(WrittenFiles::single(read::build(neutral)))
+    }
+
+    fn held_looks(&self) -> HeldLooks {
+        HeldLooks {
+            colours: true,
+            ..HeldLooks::NONE
+        }
     }
 
     fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {

@@ -16,7 +16,7 @@ use super::text::TextPatch;
 use crate::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile};
 use crate::edited::{EditedModel, FaceOutlines, PrimitiveRun};
 use crate::files::ReadWatch;
-use crate::neutral::{NeutralModel, RunAttributes};
+use crate::neutral::{HeldLooks, NeutralModel, RunAttributes};
 use crate::vertex_attributes::AttributeKeys;
 use crate::{Error, FileSet, Format, Geometry, Model, WrittenFiles};
 use body::{PlyBody, PlyEncoding, PlyScalar, push};
@@ -46,6 +46,13 @@ impl FormatCodec for PlyCodec {
 
     fn build(&self, neutral: &NeutralModel, _: Format) -> Result<WrittenFiles, Error> {
         Ok(WrittenFiles::single(build(neutral)))
+    }
+
+    fn held_looks(&self) -> HeldLooks {
+        HeldLooks {
+            materials: false,
+            ..HeldLooks::ALL
+        }
     }
 
     fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {

@@ -52,11 +52,12 @@ pub(super) fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, Ply
     watch.check_vertices(vertex.rows)?;
     let position = ["x", "y", "z"].map(|name| vertex.scalar_property(name));
     let [Some(x), Some(y), Some(z)] = position else {
-        return Err(Error::malformed(
-            FORMAT,
-            "header",
-            "element `vertex` needs the numbers x, y and z",
-        ));
+        if vertex.scalar_property("packed_position").is_some() {
+            let hint = "they are read uncompressed, or as spz";
+            return Err(Error::unsupported(FORMAT, "header", "compressed Gaussian splats", hint));
+        }
+        let problem = "element `vertex` needs the numbers x, y and z";
+        return Err(Error::malformed(FORMAT, "header", problem));
     };
     let is_real = |p: &usize| !vertex.properties[*p].scalar.is_integer();
     let normal = ["nx", "ny", "nz"].map(|name| vertex.scalar_property(name).filter(is_real));

@@ -16,6 +16,13 @@ pub(in super::super) struct SplatAttributes {
     pub harmonics: Vec<Vec<f32>>,
 }
 
+impl SplatAttributes {
+    /// How many splats have numbers that are those of no ellipsoid.
+    pub(in super::super) fn unsound(&self) -> usize {
+        Splats::of_attributes(vec![DVec3::ZERO; self.scales.len() / 3], self).unsound()
+    }
+}
+
 impl Splats {
     /// Splats of attributes, without looks.
     pub(in super::super) fn of_attributes(centers: Vec<DVec3>, numbers: &SplatAttributes) -> Self {

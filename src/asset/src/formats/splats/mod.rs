@@ -56,6 +56,20 @@ impl Format {
     }
 }
 
+/// The warning of so many splats whose numbers are those of no ellipsoid.
+pub(super) fn unsound_warning(count: usize) -> Option<WrittenWarning> {
+    let unsound = counted(count, "splat has", "splats have")?;
+    let message = format!(
+        "{unsound} no rotation or one of length 0, or a scale or rotation that is not a number; they move and keep their shape"
+    );
+    Some(WrittenWarning::new("splats-unsound", message, ""))
+}
+
+/// Centres are said to be rounded where one is off by more than this: half of a millimetre, where numbers are metres,
+const SEEN_ROUNDING: f64 = 0.5e-3;
+/// or by more than this share of the usual standard deviation along the longest axis.
+const SEEN_SHARE: f64 = 0.1;
+
 /// Reads and writes one format of splats.
 struct SplatFile {
     read: fn(Bytes, &ReadWatch<'_>) -> Result<Splats, Error>,
@@ -140,15 +154,8 @@ impl Splats {
     /// What a file of that format does not hold of them, and what of them may not fit.
     fn warnings_in(&self, format: Format) -> Vec<WrittenWarning> {
         let mut warnings = Vec::new();
+        warnings.extend(unsound_warning(self.unsound()));
         let mut warn = |code: &'static str, message: String| warnings.push(WrittenWarning::new(code, message, ""));
-        if let Some(unsound) = counted(self.unsound(), "splat has", "splats have") {
-            warn(
-                "splats-unsound",
-                format!(
-                    "{unsound} a rotation of length 0, or a scale or rotation that is not a number; they move and keep their shape"
-                ),
-            );
-        }
         if let Some(divided) = counted(self.divided, "splat was", "splats were") {
             warn(
                 "splats-divided",
@@ -175,6 +182,7 @@ impl Splats {
                 ),
             );
         }
+        warnings.extend(self.rounded_in(format));
         if format != self.format {
             let mut left = self.beyond.clone();
             if format != Format::PLY && !self.normals.is_empty() {
@@ -186,6 +194,39 @@ impl Splats {
             warnings.extend(WrittenWarning::left_out(&left, format, ""));
         }
         warnings
+    }
+
+    /// The warning of centres that a file of that format rounds by more than is seen.
+    fn rounded_in(&self, format: Format) -> Option<WrittenWarning> {
+        let is_own = format == self.format;
+        let step = if format == Format::SPZ { spz::step(self) } else { 0.0 };
+        if format == Format::PLY && ply::has_double_centers(self) {
+            return None;
+        }
+        let off = |value: f64| match step > 0.0 {
+            true => (libm::round(value / step) * step - value).abs(),
+            false => (f64::from(value as f32) - value).abs(),
+        };
+        let written = self.centers.iter().zip(&self.changes);
+        let written = written.filter(|(_, change)| !is_own || **change > SplatChange::None);
+        let parts = written.flat_map(|(center, _)| center.to_array());
+        let most = parts.map(off).fold(0.0, f64::max);
+        let mut lengths: Vec<f64> = (0..self.len()).map(|k| self.longest_axis(k).length()).collect();
+        lengths.retain(|length| *length > 0.0);
+        let middle = lengths.len() / 2;
+        let usual = match lengths.is_empty() {
+            true => f64::INFINITY,
+            false => *lengths.select_nth_unstable_by(middle, f64::total_cmp).1,
+        };
+        let far = self.centers.iter().map(|c| c.abs().max_element()).fold(0.0, f64::max);
+        let how = match step > 0.0 {
+            true => format!("coordinates of the {format} have steps of {step:.1e}, for the largest is {far:.3e}"),
+            false => format!("numbers of the {format} have seven digits, and the largest coordinate is {far:.3e}"),
+        };
+        let message = format!(
+            "{how}: centres are up to {most:.1e} off; move the splats nearer to the origin, or delete those that are far from the others"
+        );
+        (most > SEEN_ROUNDING.min(SEEN_SHARE * usual)).then(|| WrittenWarning::new("places-rounded", message, ""))
     }
 
     /// How many have numbers that do not fit the bytes of that format.

@@ -18,6 +18,7 @@ use glam::DVec3;
 use pliant_exec::Exec;
 use pliant_exec::pool::Pool;
 use pliant_exec::progress::Silent;
+use pliant_mesh::NONE;
 use pliant_mesh::carry::SurfaceCarrier;
 use std::sync::Arc;
 
@@ -92,6 +93,7 @@ impl FormatCodec for SplatModelCodec {
             rest: &geometry.positions[first..],
             now,
             bound: output.followers.splats,
+            guesses: None,
         };
         surface.write(notes.splats.clone(), places, output.format, output.followers)
     }
@@ -117,6 +119,7 @@ impl FormatCodec for SplatModelCodec {
             return Err(Error::unwritable(format, "a vertex is of a splat that is not there"));
         }
         let (mut rest, mut now, mut triangles) = (Vec::new(), Vec::new(), Vec::new());
+        let mut guesses = output.followers.rest.is_none().then(RestGuesses::default);
         for run in cages {
             let shift = now.len() as u32;
             let known = output.followers.rest.and_then(|rest| rest.get(run.vertices()));
@@ -127,12 +130,16 @@ impl FormatCodec for SplatModelCodec {
             now.extend(run.vertices().map(|v| output.positions[v]));
             let moved = |v: u32| v - run.first_vertex + shift;
             triangles.extend(edited.triangles[run.triangles()].iter().map(|t| t.map(moved)));
+            if let Some(guesses) = &mut guesses {
+                guesses.add_run(edited, run, shift);
+            }
         }
         let surface = MovedSurface {
             triangles: &triangles,
             rest: &rest,
             now: &now,
             bound: None,
+            guesses: guesses.as_ref(),
         };
         let mut written = surface.write(notes.splats.kept(&rows), &places, format, output.followers)?;
         let merged = edited.bases.len() - 1;
@@ -165,7 +172,7 @@ fn splats_of(model: &Model, format: Format) -> Result<&SplatNotes, Error> {
 }
 
 fn no_splats(format: Format) -> Error {
-    let problem = "the model holds no Gaussian splats; choose another format, or open a file of splats";
+    let problem = "the model holds no Gaussian splats of its own, as a file of splats does (those in a glTF stay in it); choose another format";
     Error::unwritable(format, problem)
 }
 
@@ -179,6 +186,51 @@ fn rest_place(edited: &EditedModel<'_>, vertex: usize) -> DVec3 {
     edited.blend(vertex).iter().map(part).sum()
 }
 
+/// What of an edited surface stands in the file, and what edits have made of it.
+#[derive(Default)]
+struct RestGuesses {
+    /// Triangles of the file.
+    kept: Vec<[u32; 3]>,
+    /// New vertices, on none of them, of which the blend does not say where they were: those in the middle of a cap are made of so many
+    /// that the least of them are left out.
+    guessed: Vec<u32>,
+}
+
+impl RestGuesses {
+    fn add_run(&mut self, edited: &EditedModel<'_>, run: &PrimitiveRun, shift: u32) {
+        let mut is_kept = vec![false; run.vertex_count as usize];
+        for t in run.triangles() {
+            if edited.origins.get(t).is_some_and(|origin| *origin != NONE) {
+                let own = edited.triangles[t].map(|v| v - run.first_vertex);
+                own.iter().for_each(|v| is_kept[*v as usize] = true);
+                self.kept.push(own.map(|v| v + shift));
+            }
+        }
+        // A vertex that divides an edge is made of its ends.
+        let is_guess = |v: &u32| {
+            let parts = edited.blend((run.first_vertex + v) as usize).iter().count();
+            !is_kept[*v as usize] && parts > 2
+        };
+        let guessed = (0..run.vertex_count).filter(is_guess);
+        self.guessed.extend(guessed.map(|v| v + shift));
+    }
+
+    /// Where the vertices of a surface were: guesses go back along with the triangles that are known.
+    fn mend(&self, rest: &[DVec3], now: &[DVec3], exec: &Exec<'_>) -> Result<Option<Vec<DVec3>>, Error> {
+        if self.kept.is_empty() || self.guessed.is_empty() {
+            return Ok(None);
+        }
+        let back = SurfaceCarrier::new(&self.kept, now, rest, exec.pool);
+        let places: Vec<DVec3> = self.guessed.iter().map(|v| now[*v as usize]).collect();
+        let carried = back.carry_points(&places, exec).map_err(|_| Error::Cancelled)?;
+        let mut mended = rest.to_vec();
+        for (v, frame) in self.guessed.iter().zip(carried) {
+            mended[*v as usize] = frame.position;
+        }
+        Ok(Some(mended))
+    }
+}
+
 /// The surface around splats, as it was and as it is.
 struct MovedSurface<'a> {
     triangles: &'a [[u32; 3]],
@@ -186,6 +238,8 @@ struct MovedSurface<'a> {
     now: &'a [DVec3],
     /// What the splats follow, where that is known.
     bound: Option<BoundSplats<'a>>,
+    /// What of `rest` is not known for sure.
+    guesses: Option<&'a RestGuesses>,
 }
 
 impl MovedSurface<'_> {
@@ -210,7 +264,10 @@ impl MovedSurface<'_> {
         let carrier = match bound {
             Some(bound) => bound.carrier,
             None => {
-                found = SurfaceCarrier::new(self.triangles, self.rest, self.now, exec.pool);
+                let mended = self.guesses.map(|guesses| guesses.mend(self.rest, self.now, exec));
+                let mended = mended.transpose()?.flatten();
+                let rest = mended.as_deref().unwrap_or(self.rest);
+                found = SurfaceCarrier::new(self.triangles, rest, self.now, exec.pool);
                 &found
             }
         };

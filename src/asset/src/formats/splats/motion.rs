@@ -189,12 +189,17 @@ impl CarriedAlong<'_> {
                 let center = splats.centers()[splat as usize];
                 [center + half(splat), center - half(splat)]
             });
-            let ends = self.carrier.carry_points(&ends.collect::<Vec<_>>(), self.exec)?;
+            let ends = ends.collect::<Vec<_>>();
+            let ends = self.carrier.carry_spaces(&self.stretch, &ends, self.exec)?;
             for ((&splat, space), ends) in large.iter().zip(&spaces).zip(ends.as_chunks::<2>().0) {
                 let now = space.gradient * half(splat);
-                let miss = |end: DVec3, offset: DVec3| end.distance(space.frame.position + offset);
-                let miss = miss(ends[0].position, now).max(miss(ends[1].position, -now));
-                if miss > BENT * now.length() {
+                let miss = |end: &CarriedSpace, offset: DVec3| {
+                    let by_place = end.frame.position.distance(space.frame.position + offset);
+                    // Offsets of carried points do not shear: where space is stretched and not bent, gradients are the same at both.
+                    let by_gradient = 0.5 * ((end.gradient - space.gradient) * half(splat)).length();
+                    by_place.min(by_gradient)
+                };
+                if miss(&ends[0], now).max(miss(&ends[1], -now)) > BENT * now.length() {
                     bent.push(splat);
                 }
             }

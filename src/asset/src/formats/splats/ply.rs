@@ -1,6 +1,6 @@
 //! Gaussian splats in PLY: the numbers that 3DGS gives to each vertex, and whatever else stands beside them.
 
-use super::super::ply::body::{PlyBody, PlyElement, PlyEncoding, PlyHeader, PlyProperty, push};
+use super::super::ply::body::{PlyBody, PlyElement, PlyEncoding, PlyHeader, PlyProperty, PlyScalar, push};
 use super::super::text::{TextPatch, newline_of};
 use super::cloud::{SplatChange, SplatLook, SplatShape, Splats, bytes_of_splat, coefficients_of};
 use crate::files::ReadWatch;
@@ -270,6 +270,17 @@ pub(super) fn patch(splats: &Splats) -> Result<Vec<u8>, Error> {
         }
     }
     Ok(patch.finish())
+}
+
+/// Whether a file of theirs has centres as doubles: their own one may.
+pub(super) fn has_double_centers(splats: &Splats) -> bool {
+    let own = (splats.format == Format::PLY)
+        .then(|| layout_of(&splats.source).ok())
+        .flatten();
+    own.is_some_and(|(_, vertex, numbers)| {
+        let mut centers = vertex.properties.iter().zip(numbers);
+        centers.all(|(p, number)| !matches!(number, Some(SplatNumber::Center(_))) || p.scalar == PlyScalar::F64)
+    })
 }
 
 /// Refuses what single precision does not hold.

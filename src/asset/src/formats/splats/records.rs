@@ -12,6 +12,8 @@ use glam::DVec3;
 
 /// Bytes of a splat.
 const RECORD: usize = 32;
+/// Bytes that are looked at to find that a file is a text, which has no other bytes than letters.
+const LOOKED_AT: usize = 1 << 10;
 /// The harmonic of degree 0.
 const C0: f32 = 0.282_094_8;
 /// An opacity of 0 or 1 counts as this near to it, so that its logit is a number.
@@ -24,6 +26,11 @@ pub(super) fn read(main: Bytes, watch: &ReadWatch<'_>) -> Result<Splats, Error> 
             "{} bytes; a whole number of records of {RECORD} bytes is needed",
             main.len()
         );
+        return Err(Error::malformed(Format::SPLAT, "the file", problem));
+    }
+    let is_text = |byte: &u8| byte.is_ascii_graphic() || byte.is_ascii_whitespace();
+    if main.iter().take(LOOKED_AT).all(is_text) {
+        let problem = "is a text; records of splats are bytes";
         return Err(Error::malformed(Format::SPLAT, "the file", problem));
     }
     let rows = main.len() / RECORD;

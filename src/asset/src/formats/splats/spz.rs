@@ -253,15 +253,27 @@ pub(super) fn patch(splats: &Splats) -> Result<Vec<u8>, Error> {
     deflate(&bytes)
 }
 
-/// A fresh file of version 3, with coordinates as fine as they fit.
-pub(super) fn build(splats: &Splats) -> Result<Vec<u8>, Error> {
+/// The binary places of coordinates in a fresh file: as many as leave room for the largest one.
+fn fresh_places(splats: &Splats) -> u8 {
     let farthest = splats.centers.iter().map(|c| c.abs().max_element()).fold(0.0, f64::max);
     let fits = |places: &u8| farthest * f64::from(1u32 << places) < COORDINATE_END - 1.0;
+    (0..=MOST_PLACES).rev().find(fits).unwrap_or(0)
+}
+
+/// The step of coordinates in a file of these splats: the one that they came in, or a fresh one.
+pub(super) fn step(splats: &Splats) -> f64 {
+    let own = splats.source.get(13).filter(|_| splats.format == Format::SPZ);
+    let places = own.copied().unwrap_or_else(|| fresh_places(splats));
+    1.0 / f64::from(1u32 << places.min(30))
+}
+
+/// A fresh file of version 3, with coordinates as fine as they fit.
+pub(super) fn build(splats: &Splats) -> Result<Vec<u8>, Error> {
     let layout = SpzLayout {
         version: 3,
         count: splats.len(),
         degree: splats.degree,
-        places: (0..=MOST_PLACES).rev().find(fits).unwrap_or(0),
+        places: fresh_places(splats),
     };
     let mut bytes = vec![0; layout.bytes() as usize];
     for (k, word) in [MAGIC, layout.version, layout.count as u32].into_iter().enumerate() {

@@ -385,3 +385,45 @@ fn a_file_of_some_of_its_splats_has_their_rows_and_all_else() {
         assert_eq!(again.harmonics, some.harmonics);
     }
 }
+
+#[test]
+fn centres_that_a_file_rounds_by_more_than_is_seen_are_told() {
+    let mut splats = read("a.ply", ply_of(3, 0)).expect("read");
+    let rounded = |splats: &Splats, format: Format| {
+        let written = splats.write(format).expect("written");
+        let warning = written.warnings.into_iter().find(|w| w.code == "places-rounded");
+        warning.map(|w| w.message)
+    };
+    for format in [Format::SPZ, Format::SPLAT] {
+        assert_eq!(rounded(&splats, format), None);
+    }
+    // One splat far away makes the steps of all larger.
+    splats.centers[2] = DVec3::new(30_000.1, 0.0, 0.0);
+    let message = rounded(&splats, Format::SPZ).expect("rounded");
+    assert!(
+        message.contains("steps of 3.9e-3") && message.contains("3.000e4"),
+        "{message}"
+    );
+    // Map coordinates in seven digits; what has not moved keeps its bytes.
+    splats.centers = (0..3)
+        .map(|k| DVec3::new(5e5 + 0.03 * f64::from(k), 4.9e6, 0.0))
+        .collect();
+    for format in [Format::SPZ, Format::SPLAT] {
+        assert!(rounded(&splats, format).is_some(), "{format}");
+    }
+    assert_eq!(rounded(&splats, Format::PLY), None);
+    splats.changes = vec![SplatChange::Moved; 3];
+    assert!(rounded(&splats, Format::PLY).expect("rounded").contains("seven digits"));
+}
+
+#[test]
+fn texts_and_compressed_clouds_are_refused_as_what_they_are() {
+    let text = "some words of a line of 32 byte\n".repeat(4);
+    let error = read("a.splat", text).expect_err("a text").to_string();
+    assert!(error.contains("is a text"), "{error}");
+    let packed = "ply\nformat binary_little_endian 1.0\nelement chunk 0\nproperty float min_x\nelement vertex 0\nproperty uint packed_position\n\
+        property uint packed_rotation\nend_header\n";
+    let files = FileSet::single("a.ply", packed);
+    let error = crate::Model::read(files, None, &Limits::default()).expect_err("compressed");
+    assert!(error.to_string().contains("compressed Gaussian splats"), "{error}");
+}

@@ -15,7 +15,7 @@ use crate::edited::{BaseModel, EditedModel, TriangleOrigins};
 use crate::files::{ReadWatch, check_main_size, counted};
 use crate::format::{FormatDetails, Recognition};
 use crate::model::{FileNotes, is_same};
-use crate::neutral::NeutralModel;
+use crate::neutral::{HeldLooks, NeutralModel};
 use crate::vertex_attributes::AttributeKeys;
 use crate::{Error, FileSet, Format, Geometry, Model, Primitive, WrittenFiles, WrittenWarning};
 use glam::DVec3;
@@ -60,8 +60,8 @@ impl FormatCodec for StlCodec {
         Some(DVec3::ZERO)
     }
 
-    fn takes_attributes(&self) -> bool {
-        false
+    fn held_looks(&self) -> HeldLooks {
+        HeldLooks::NONE
     }
 
     fn build(&self, neutral: &NeutralModel, _: Format) -> Result<WrittenFiles, Error> {

@@ -16,23 +16,53 @@ const MODEL: &str = "3D/3dmodel.model";
 /// Adds the objects of a neutral model. `with_pictures`: whether the package is a fresh one, which pictures are added to.
 pub(super) fn push_neutral(text: &mut PartText, neutral: &NeutralModel, with_pictures: bool) -> Result<(), Error> {
     let mut table = NeutralLooks::default();
-    for own in neutral.primitives().filter(|own| !own.triangles.is_empty()) {
-        let mut mesh = MeshText::default();
-        for place in &neutral.geometry.positions[own.vertices.clone()] {
-            mesh.vertex(*place, NONE);
-        }
-        let property = table.of_primitive(text, neutral, &own, with_pictures)?;
-        for (i, triangle) in own.triangles.iter().enumerate() {
-            let corners = triangle.map(|v| mesh.vertex(neutral.geometry.positions[v as usize], NONE));
-            mesh.triangle(corners, property.of_triangle(neutral, &own, i, &mut table));
-        }
-        if !mesh.is_empty() {
-            let id = text.take_id()?;
-            text.push_mesh(id, &name_attribute(&own.primitive.name), &mesh);
-            text.push_item(id, "");
-        }
+    let filled = neutral.primitives().filter(|own| !own.triangles.is_empty());
+    let filled: Vec<NeutralPrimitive<'_>> = filled.collect();
+    // Parts of one surface are one object, which is closed where the surface is.
+    for parts in filled.chunk_by(|a, b| a.attributes.of_run == b.attributes.of_run) {
+        push_object(text, neutral, parts, &mut table, with_pictures)?;
     }
     table.finish(text);
+    Ok(())
+}
+
+/// Adds the object of some primitives, with vertices and triangles in the order of the model.
+fn push_object(
+    text: &mut PartText,
+    neutral: &NeutralModel,
+    parts: &[NeutralPrimitive<'_>],
+    table: &mut NeutralLooks,
+    with_pictures: bool,
+) -> Result<(), Error> {
+    let mut mesh = MeshText::default();
+    let mut vertices: Vec<usize> = parts.iter().flat_map(|own| own.vertices.clone()).collect();
+    vertices.sort_by_key(|v| neutral.copy_of.get(*v));
+    for vertex in vertices {
+        mesh.vertex(neutral.geometry.positions[vertex], NONE);
+    }
+    let mut properties = Vec::with_capacity(parts.len());
+    for own in parts {
+        properties.push(table.of_primitive(text, neutral, own, with_pictures)?);
+    }
+    if properties.iter().any(|property| !property.is_none()) {
+        // Triangles that name none would have the property of the object.
+        for property in properties.iter_mut().filter(|property| property.is_none()) {
+            *property = table.material(text, (String::new(), [1.0; 4]))?;
+        }
+    }
+    let of_part = |(own, k): (&NeutralPrimitive<'_>, usize)| (0..own.triangles.len()).map(move |i| (k, i));
+    let mut triangles: Vec<(usize, usize)> = parts.iter().zip(0..).flat_map(of_part).collect();
+    triangles.sort_by_key(|(k, i)| neutral.source_triangles.get(parts[*k].first_triangle + i));
+    for (k, i) in triangles {
+        let own = &parts[k];
+        let corners = own.triangles[i].map(|v| mesh.vertex(neutral.geometry.positions[v as usize], NONE));
+        mesh.triangle(corners, properties[k].of_triangle(neutral, own, i, table));
+    }
+    if let Some(first) = parts.first().filter(|_| !mesh.is_empty()) {
+        let id = text.take_id()?;
+        text.push_mesh(id, &name_attribute(&first.primitive.name), &mesh);
+        text.push_item(id, "");
+    }
     Ok(())
 }
 
@@ -100,13 +130,17 @@ impl NeutralLooks {
         let Some(material) = look else {
             return Ok(NeutralProperty::None);
         };
+        let colour = material.look.as_ref().map_or(CAP_COLOUR, |look| look.colour);
+        self.material(text, (material.name.clone(), colour))
+    }
+
+    /// A row of the table of materials: a name and a colour.
+    fn material(&mut self, text: &mut PartText, row: (String, [f32; 4])) -> Result<NeutralProperty, Error> {
         let id = match self.materials {
             Some(id) => id,
             None => text.take_id()?,
         };
         self.materials = Some(id);
-        let colour = material.look.as_ref().map_or(CAP_COLOUR, |look| look.colour);
-        let row = (material.name.clone(), colour);
         let place = self
             .of_materials
             .iter()
@@ -187,6 +221,10 @@ impl NeutralLooks {
 }
 
 impl NeutralProperty {
+    fn is_none(&self) -> bool {
+        matches!(self, Self::None)
+    }
+
     fn of_triangle(
         &self,
         neutral: &NeutralModel,

@@ -81,7 +81,25 @@ impl FormatCodec for ThreeMfCodec {
         Ok(counts.into_iter().flatten().chain(foreign).collect())
     }
 
+    fn unit_of(&self, model: &Model) -> Option<(String, f64)> {
+        let notes: &PrintNotes = model.notes()?;
+        let unit = notes.scene.parts.first()?.unit.as_str();
+        let metres = match unit {
+            "micron" => 1e-6,
+            "millimeter" => 1e-3,
+            "centimeter" => 1e-2,
+            "inch" => 0.0254,
+            "foot" => 0.3048,
+            _ => 1.0,
+        };
+        Some((unit.to_owned(), metres))
+    }
+
     fn divides_by_look(&self) -> bool {
+        true
+    }
+
+    fn divides_at_seams(&self) -> bool {
         true
     }
 

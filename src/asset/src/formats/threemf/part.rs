@@ -158,7 +158,8 @@ pub(super) fn read_part(
     watch: &ReadWatch<'_>,
     vertex: &mut dyn FnMut(VertexPlace),
 ) -> Result<ModelPart, Error> {
-    if bytes.starts_with(b"\xff\xfe") || bytes.starts_with(b"\xfe\xff") {
+    let begins_wide = |mark: &&[u8; 2]| bytes.starts_with(*mark);
+    if [b"\xff\xfe", b"\xfe\xff", b"<\0", b"\0<"].iter().any(begins_wide) {
         return Err(refuse(
             name,
             "the text is in UTF-16 (two bytes a letter); save it as UTF-8",
@@ -168,7 +169,10 @@ pub(super) fn read_part(
         let problem = format!("byte {} is not of UTF-8", error.valid_up_to());
         refuse(name, problem)
     })?;
-    let mut reader = Reader::from_str(text);
+    // The reader would skip a byte order mark and not count it.
+    let unmarked = text.trim_start_matches('\u{feff}');
+    let first = text.len() - unmarked.len();
+    let mut reader = Reader::from_str(unmarked);
     let mut state = PartReader {
         watch,
         part: ModelPart {
@@ -188,12 +192,12 @@ pub(super) fn read_part(
     };
     let mut events = 0;
     loop {
-        let begin = reader.buffer_position() as usize;
+        let begin = first + reader.buffer_position() as usize;
         watch.check_at(events)?;
         events += 1;
         let event = reader.read_event();
         let event = event.map_err(|error| refuse(place_at(name, begin), error.to_string()))?;
-        let here = begin..reader.buffer_position() as usize;
+        let here = begin..first + reader.buffer_position() as usize;
         let (element, is_empty) = match &event {
             Event::Eof => break,
             Event::DocType(_) => {

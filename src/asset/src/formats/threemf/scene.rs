@@ -15,6 +15,8 @@ const DEEPEST: usize = 64;
 const MOST_USES: usize = 1 << 16;
 /// Names that a warning lists.
 const MOST_LISTED: usize = 8;
+/// Letters of the name of a picture that a warning shows.
+const LONGEST_NAME: usize = 80;
 
 /// All parts of a package that objects are in; the first one is what the package names.
 #[derive(Debug, Default)]
@@ -293,6 +295,16 @@ fn add_warnings(scene: &PrintScene, uses: &[MeshUse], geometry: &mut Geometry) {
             format!("{idle} objects with meshes are not built; they stay in the file until an edit rewrites it");
         geometry.warn("objects-not-built", message, &root.name);
     }
+    let missing = missing_pictures(scene);
+    if !missing.is_empty() {
+        let names: Vec<&str> = missing.iter().map(String::as_str).take(MOST_LISTED).collect();
+        let more = if missing.len() > MOST_LISTED { " and others" } else { "" };
+        let message = format!(
+            "pictures that the package lacks, or that are neither PNG nor JPEG: {}{more}",
+            names.join(", ")
+        );
+        geometry.warn("image-missing", message, &root.name);
+    }
     let foreign: BTreeSet<&str> = scene
         .parts
         .iter()
@@ -307,6 +319,23 @@ fn add_warnings(scene: &PrintScene, uses: &[MeshUse], geometry: &mut Geometry) {
         );
         geometry.warn("extension-not-read", message, &root.name);
     }
+}
+
+/// The pictures that groups of texture coordinates name and that are none, each by its part or the number of its resource.
+fn missing_pictures(scene: &PrintScene) -> BTreeSet<String> {
+    let mut missing = BTreeSet::new();
+    for part in &scene.parts {
+        for group in part.groups.values() {
+            let PropertyGroup::Picture(id, _) = group else { continue };
+            let own = part.pictures.get(id);
+            let bytes = own.and_then(|own| own.bytes.as_deref()).unwrap_or_default();
+            if !bytes.starts_with(b"\x89PNG") && !bytes.starts_with(b"\xff\xd8") {
+                let name = own.map(|own| own.path.chars().take(LONGEST_NAME).collect());
+                missing.insert(name.unwrap_or_else(|| format!("resource {id}")));
+            }
+        }
+    }
+    missing
 }
 
 /// Names of parts are compared in one case and without the root.

@@ -92,6 +92,41 @@ fn a_pose_rewrites_the_numbers_of_moved_vertices_alone() {
 }
 
 #[test]
+fn a_part_with_a_byte_order_mark_is_written_as_one_without() {
+    let plain = two_objects();
+    let marked = |text: &str| {
+        let parts = ["_rels/.rels", "3D/a.model"].map(|name| (name.to_owned(), part_of(&plain, name).into_bytes()));
+        let [relations, (name, model)] = parts;
+        pack(&[relations, (name, [text.as_bytes(), &model].concat())]).expect("a package")
+    };
+    let shifted = |bytes: Vec<u8>, and_apart: bool| {
+        let model = read(bytes).expect("readable");
+        let moved: Vec<DVec3> = model
+            .positions
+            .iter()
+            .map(|p| *p + DVec3::new(1.0, 2.0, 3.25))
+            .collect();
+        let written = match and_apart {
+            true => super::write::write_whole(&model, &moved),
+            false => model.write(&moved, Format::THREE_MF),
+        };
+        let written = written.expect("writable").main;
+        assert_eq!(read(written.clone()).expect("readable").positions, moved);
+        part_of(&written, "3D/a.model")
+    };
+    for and_apart in [false, true] {
+        let expected = shifted(marked(""), and_apart);
+        assert_eq!(shifted(marked("\u{feff}"), and_apart), format!("\u{feff}{expected}"));
+    }
+    let wide = |text: &str| text.encode_utf16().flat_map(u16::to_le_bytes).collect::<Vec<u8>>();
+    for mark in ["", "\u{feff}"] {
+        let text = wide(&format!("{mark}{}", part_of(&plain, "3D/a.model")));
+        let error = read(pack(&[("3D/a.model".to_owned(), text)]).expect("a package")).expect_err("UTF-16");
+        assert!(error.to_string().contains("UTF-16"), "{error}");
+    }
+}
+
+#[test]
 fn uses_of_one_mesh_that_move_apart_get_meshes_of_their_own() {
     let resources = format!(
         r#"<object id="7" name="twin" p:UUID="u">{}</object>"#,
@@ -198,6 +233,115 @@ fn materials_and_colours_go_into_other_formats_and_back() {
         }
         assert_eq!(read(back.main).expect("readable").triangles.len(), 4);
     }
+}
+
+#[test]
+fn a_surface_of_several_materials_is_one_object_and_formats_without_materials_say_so() {
+    let object = |material: [&str; 3], library: &str| {
+        let [none, red, blue] = material;
+        let text = format!(
+            "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv .5 .5 1\nvt 0 0\nvt 1 0\nvt 0 1\n{none}f 1/1 3/2 2/3\n{red}f 1/1 2/2 5/3\n\
+             f 2/1 3/2 5/3\n{blue}f 3/1 4/2 5/3\n{red}f 4/1 1/2 5/3\nf 1/1 4/2 3/3\n"
+        );
+        let mut files = FileSet::single("a.obj", text);
+        let picture = |shade: u8| vec![0x89, b'P', b'N', b'G', shade].into();
+        files.companions = [
+            ("a.mtl".to_owned(), library.to_owned().into()),
+            ("r.png".to_owned(), picture(1)),
+            ("b.png".to_owned(), picture(2)),
+        ]
+        .into();
+        Model::read(files, None, &Limits::default()).expect("readable")
+    };
+    let materials = ["", "usemtl red\n", "usemtl blue\n"];
+    let plain = object(materials, "newmtl red\nKd 1 0 0\nnewmtl blue\nKd 0 0 1\n");
+    let written = plain.write(&plain.positions, Format::THREE_MF).expect("writable").main;
+    let text = part_of(&written, "3D/3dmodel.model");
+    // One closed object in the order of the OBJ, and each triangle has the material of its face.
+    assert_eq!(
+        (text.matches("<object").count(), text.matches("<vertex ").count()),
+        (1, 5),
+        "{text}"
+    );
+    let model = read(written).expect("readable");
+    assert_eq!(
+        (&model.triangles, &model.positions),
+        (&plain.triangles, &plain.positions)
+    );
+    let rows: Vec<&str> = text.split("<base ").skip(1).collect();
+    let triangles = text.split("<triangle ").skip(1);
+    let of_triangle = triangles.map(|t| t.split("p1=\"").nth(1).and_then(|p| p[..1].parse::<usize>().ok()));
+    let colours = of_triangle.map(|place| rows[place.expect("a property")].split('"').nth(3).expect("a colour"));
+    let seen: Vec<&str> = colours.collect();
+    assert_eq!(seen, ["#FFFFFF", "#FF0000", "#FF0000", "#0000FF", "#FF0000", "#FF0000"]);
+
+    let materials = ["usemtl red\n", "", "usemtl blue\n"];
+    let pictured = object(materials, "newmtl red\nmap_Kd r.png\nnewmtl blue\nmap_Kd b.png\n");
+    let written = pictured
+        .write(&pictured.positions, Format::THREE_MF)
+        .expect("writable")
+        .main;
+    for (name, shade) in [("3D/Textures/1.png", 1), ("3D/Textures/2.png", 2)] {
+        let limits = Limits::default();
+        let watch = ReadWatch::new(&limits, &Silent, 0);
+        let mut package = Package::open(&written).expect("a package");
+        let part = package.part(name, &watch).expect("readable").expect("there");
+        assert_eq!(part[4], shade, "{name}");
+    }
+    let lost = |format: Format| {
+        let written = pictured.write(&pictured.positions, format).expect("writable");
+        let lost = written.warnings.into_iter().filter(|w| w.code == "left-out");
+        lost.map(|w| w.message).collect::<Vec<_>>()
+    };
+    assert_eq!(lost(Format::PLY), ["the ply file has not: 2 materials, 2 pictures"]);
+    for format in [Format::OFF, Format::STL] {
+        let expected = format!("the {format} file has not: 2 materials, 2 pictures, texture coordinates");
+        assert_eq!(lost(format), [expected]);
+    }
+    assert!(lost(Format::GLB).is_empty() && lost(Format::THREE_MF).is_empty());
+
+    let coloured = "v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\nf 1 2 3\n";
+    let coloured = Model::read(FileSet::single("c.obj", coloured), None, &Limits::default()).expect("readable");
+    let glb = coloured.write(&coloured.positions, Format::GLB).expect("writable").main;
+    let glb = Model::read(FileSet::single("c.glb", glb), None, &Limits::default()).expect("readable");
+    let colours = glb.drawn().expect("drawn").look.colours;
+    assert_eq!(
+        colours,
+        [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 1.0]]
+    );
+    let stl = coloured
+        .write(&coloured.positions, Format::STL)
+        .expect("writable")
+        .warnings;
+    assert_eq!(stl[0].message, "the stl file has not: colours of vertices");
+}
+
+#[test]
+fn units_of_a_gltf_and_pictures_that_are_none_are_told() {
+    let told = |written: &crate::WrittenFiles| {
+        let units = written.warnings.iter().filter(|w| w.code == "unit");
+        units.map(|w| w.message.clone()).collect::<Vec<_>>()
+    };
+    let inches = read(two_objects()).expect("readable");
+    let warning = told(&inches.write(&inches.positions, Format::GLB).expect("writable"));
+    assert!(warning[0].contains("scale it by 0.0254"), "{warning:?}");
+    assert!(told(&inches.write(&inches.positions, Format::OBJ).expect("writable")).is_empty());
+
+    let group = |picture: &str| {
+        format!(
+            r#"{picture}<m:texture2dgroup id="4" texid="3"><m:tex2coord u="0" v="0"/></m:texture2dgroup><object id="5" pid="4" pindex="0">{}</object>"#,
+            tetrahedron(["", "", "", ""])
+        )
+    };
+    let named = r#"<m:texture2d id="3" path="/3D/a.png" contenttype="image/png"/>"#;
+    let missing = |picture: &str, parts: &[(&str, &str)]| {
+        let model = read(package(&group(picture), r#"<item objectid="5"/>"#, parts)).expect("readable");
+        let warning = model.warnings.iter().find(|w| w.0 == "image-missing");
+        warning.map(|w| w.1.clone()).unwrap_or_default()
+    };
+    assert!(missing(named, &[]).ends_with(": /3D/a.png"));
+    assert!(missing(named, &[("3D/a.png", "no picture")]).ends_with(": /3D/a.png"));
+    assert!(missing("", &[]).ends_with(": resource 3"));
 }
 
 #[test]
