@@ -1,7 +1,7 @@
 //! Merging what joints hold: an accessory with a skeleton of its own onto a model of the same joints, by jobs.
 
-use crate::avatars::avatar;
 use crate::nodes::{at_rest, parsed, parsed_files, run};
+use crate::support::avatar::avatar;
 use crate::support::bench::largest_distance;
 use crate::support::gltf_draft::Draft;
 use crate::support::gltf_parsed::Parsed;

@@ -35,7 +35,7 @@ pub(super) fn lacks_node() -> Option<String> {
 }
 
 /// Fetches what a package's lock file names, unless it is there; why it cannot be had, if so.
-fn install(package: &str) -> Result<(), String> {
+pub(super) fn install(package: &str) -> Result<(), String> {
     if let Some(reason) = lacks_node() {
         return Err(reason);
     }

@@ -1,6 +1,7 @@
 //! What the tests of this repository share. Each group of tests includes it and uses a part of it.
 #![allow(dead_code, unused_imports, unused_macros)]
 
+pub mod avatar;
 pub mod bench;
 pub mod book;
 pub mod bucket;

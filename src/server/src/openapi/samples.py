@@ -44,7 +44,7 @@ made = session.make_rig(preset="mixamo")
 print([joint.name for joint in made.joints if joint.doubtful])
 
 # transfer
-came = session.transfer(client.sample(), shape=session.export_bytes("glb")[""])
+came = session.transfer(session=session.id, shape=session.export_bytes("glb")[""])
 print(came.report.shapes[0].largest_move)
 
 # deleteSessionsIdHandlesHandleId

@@ -245,6 +245,12 @@ fn curl_sample(route: &Route) -> String {
             let opened = format!("figure=$(curl {QUIET} -X POST \"{SERVER}/v1/sessions?sample=figure\" | {READ_ID})");
             format!("{opened}\n{}", line.replace("$id", "$figure"))
         }
+        // The source and the same in another shape; here both are the session's.
+        Some("Transfer") => format!(
+            "curl {QUIET} \"{SERVER}/v1/sessions/$id/model\" -o bent.glb\n\
+             printf '{{\"session\": \"%s\", \"shape\": \"%s\"}}' \"$id\" \"$(base64 -w0 bent.glb)\" |\n  {line} \\\n  \
+             -H 'content-type: application/json' --data-binary @- -o carried.glb"
+        ),
         _ => line,
     }
 }
