@@ -27,7 +27,7 @@ impl Identities {
         });
         Self {
             prefix: declared,
-            seed: Sha256::digest(part).into(),
+            seed: Sha256::digest(part.strip_prefix(b"\xef\xbb\xbf").unwrap_or(part)).into(),
             made: 0,
         }
     }
