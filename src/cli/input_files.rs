@@ -216,7 +216,8 @@ const MOST_COMPANIONS: usize = 10_000;
 
 /// Whether a file is motion capture and no model.
 pub(super) fn is_bvh(file: &[u8]) -> bool {
-    file.trim_ascii_start().starts_with(b"HIERARCHY")
+    let text = file.strip_prefix(b"\xef\xbb\xbf").unwrap_or(file);
+    text.trim_ascii_start().starts_with(b"HIERARCHY")
 }
 
 /// Reads a model and the files beside it that it names: buffers and images. Nothing outside the model's folder is opened.

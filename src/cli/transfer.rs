@@ -103,6 +103,9 @@ pub(super) fn run_transfer(args: &TransferArgs) -> Result<(), CliFailure> {
     if let Some(path) = &args.picture {
         args.draw(path, [Some(source), Some(target), shape], &came.files, &pool)?;
     }
+    for w in &came.files.warnings {
+        eprintln!("warning {}: {}", w.code, w.message);
+    }
     if args.json {
         return print_json(&report);
     }

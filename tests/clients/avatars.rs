@@ -49,6 +49,14 @@ fn whole_avatar(is_first: bool) -> Vec<u8> {
             false => extensions["VRMC_vrm"]["humanoid"]["humanBones"][name] = json!({"node": node}),
         }
     }
+    // three-vrm reads no avatar without these.
+    document["extensions"][if is_first { "VRM" } else { "VRMC_vrm" }]["meta"] = json!({
+        "title": "column", "name": "column", "authors": ["pliant"], "licenseUrl": "https://vrm.dev/licenses/1.0/",
+    });
+    if is_first {
+        // three-vrm refuses hair that collides with the bone that it hangs on by itself.
+        document["extensions"]["VRM"]["secondaryAnimation"]["boneGroups"][0]["bones"] = json!([3]);
+    }
     let mut text = document.to_string().into_bytes();
     text.resize(text.len().next_multiple_of(4), b' ');
     let mut file = glb[..8].to_vec();

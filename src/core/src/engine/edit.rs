@@ -97,7 +97,8 @@ impl Deformer {
         let mut report = self.report_edit(before, &applied, patch);
         report.warnings.extend(left_behind);
         report.wrap.clone_from(&seen.wrap);
-        (report.warnings).extend(seen.wrap.iter().flat_map(WrapReport::warnings));
+        let of_wrap = seen.wrap.iter().flat_map(WrapReport::warnings);
+        (report.warnings).extend(of_wrap.map(|w| DeformerWarning::new(w.code, w.message, "")));
         report.warnings.extend(self.rounding_warning(seen, is_given));
         let points_before = self.derived.mesh.positions.len();
         let families = (self.derived.families).after_edit(points_before, &surface.surface(), &applied, patch);

@@ -28,6 +28,8 @@ const CLEARANCE: f64 = 0.1;
 const MOST_PAIRS: usize = 20_000;
 /// With so many times the pairs of the beginning a style is given up.
 const LOST: usize = 4;
+/// What parting may change lengths of edges by, on the mean, whatever the pose does.
+const LEAST_STRAIN: f64 = 0.02;
 /// Rounds of one style.
 const ROUNDS: usize = 20;
 /// How surfaces are parted, one after the other until nothing crosses. Each goes on from the best shape of those before.
@@ -82,10 +84,11 @@ impl ContactSurface<'_> {
         let clearance = self.clearance.unwrap_or(CLEARANCE * region.edge);
         let rest_bend = rest_bend(self.mesh);
         let strain = self.strain(base);
-        // The more pairs are parted, the more lengths of edges may change: up to twice as far as before, on the mean.
+        // The more pairs are parted, the more lengths of edges may change: up to twice as far as before, on the mean, and some beside
+        // that where the pose itself changes none.
         let is_worth = |left: usize, at: &[DVec3]| {
             let parted = 1.0 - left as f64 / before.len() as f64;
-            self.strain(at) <= (1.0 + parted * parted) * strain
+            self.strain(at) <= strain + parted * parted * strain.max(LEAST_STRAIN)
         };
         let mut best = (before.len(), vec![DVec3::ZERO; region.free], Knowledge::default());
         for style in STYLES {

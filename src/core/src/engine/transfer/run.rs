@@ -2,7 +2,7 @@
 
 use super::command::{ShapeFacts, TransferCommand, TransferReport, Transferred};
 use super::places::{OrientedPoint, SurfacePlace, places_on};
-use crate::asset::{self, BlendShape, BlendShapes, Format, Limits, Model, Splats};
+use crate::asset::{self, BlendShape, BlendShapes, Format, Limits, Model, Splats, WrittenFiles, WrittenWarning};
 use crate::deform::{CarriedMotion, FaceSurroundings, SurfaceTransfer, unfold_vertices};
 use crate::engine::Deformer;
 use crate::engine::derived_structures::admit_bytes;
@@ -134,6 +134,17 @@ impl Deformer {
     }
 }
 
+/// Files with what is to be said of how the source lies on the model.
+fn with_warnings(mut files: WrittenFiles, told: &TransferReport) -> WrittenFiles {
+    let of_wrap = told.wrap.iter().flat_map(WrapReport::warnings);
+    files.warnings.extend(of_wrap.map(|warning| WrittenWarning {
+        code: warning.code,
+        message: warning.message,
+        place: String::new(),
+    }));
+    files
+}
+
 /// A source that is on the model.
 struct TransferRun<'a> {
     deformer: &'a Deformer,
@@ -176,7 +187,7 @@ impl TransferRun<'_> {
             riders.place(surface, &moved.now, &mut positions, exec.pool);
         }
         Ok(Transferred {
-            files: deformer.write(&positions, format, exec)?,
+            files: with_warnings(deformer.write(&positions, format, exec)?, &told),
             format,
             report: told,
         })
@@ -220,7 +231,7 @@ impl TransferRun<'_> {
         };
         exec.progress.report("write", 0.0);
         Ok(Transferred {
-            files: model.write_blend_shapes(&shapes)?,
+            files: with_warnings(model.write_blend_shapes(&shapes)?, &told),
             format: Format::GLB,
             report: told,
         })

@@ -3,7 +3,6 @@
 use super::queries::answers;
 use super::target::TargetSurface;
 use crate::engine::error::Error;
-use crate::engine::facts::DeformerWarning;
 use crate::engine::quality::measure_quality;
 use crate::exec::Exec;
 use crate::mesh::query::TriangleBvh;
@@ -47,9 +46,17 @@ pub struct WrapReport {
 /// Distances above this share of the diagonal are warned of: a twentieth of a body is as thick as its arm.
 const FAR: f64 = 0.05;
 
+/// Something to be said of a template that does not lie on its target.
+pub(in crate::engine) struct WrapWarning {
+    /// A stable kebab-case code.
+    pub code: &'static str,
+    /// What it is, for people.
+    pub message: String,
+}
+
 impl WrapReport {
     /// What is to be said of a template that does not lie on its target.
-    pub(in crate::engine) fn warnings(&self) -> Vec<DeformerWarning> {
+    pub(in crate::engine) fn warnings(&self) -> Vec<WrapWarning> {
         let percent = |share: f64| format!("{:.1} %", share * 100.0);
         let far = (self.to_target.p95 > FAR).then(|| {
             let message = format!(
@@ -57,7 +64,7 @@ impl WrapReport {
                  mask leaves out what the target has not",
                 percent(self.to_target.p95)
             );
-            DeformerWarning::new("wrap-far", message, "")
+            WrapWarning { code: "wrap-far", message }
         });
         let landmarks = (self.landmarks.max > FAR).then(|| {
             let message = format!(
@@ -65,9 +72,17 @@ impl WrapReport {
                  side, lead a wrap astray",
                 percent(self.landmarks.max)
             );
-            DeformerWarning::new("wrap-landmarks", message, "wrap.landmarks")
+            WrapWarning { code: "wrap-landmarks", message }
         });
-        far.into_iter().chain(landmarks).collect()
+        let hidden = (2 * self.unpulled_vertices > self.vertices).then(|| {
+            let message = format!(
+                "the target does not pull {} of {} vertices, which are hidden inside of others or masked: hulls around a body hide it, \
+                 and are better left out or made passengers",
+                self.unpulled_vertices, self.vertices
+            );
+            WrapWarning { code: "wrap-hidden", message }
+        });
+        far.into_iter().chain(landmarks).chain(hidden).collect()
     }
 }
 
