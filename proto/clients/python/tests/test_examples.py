@@ -37,7 +37,7 @@ def test_it_runs(example: Path, server: pliant.LocalServer, tmp_path: Path) -> N
 
 
 def test_the_samples_of_the_reference_page_run(server: pliant.LocalServer, tmp_path: Path) -> None:
-    samples = ROOT / "src/server/openapi/samples.py"
+    samples = ROOT / "src/server/src/openapi/samples.py"
     if not samples.is_file():
         pytest.skip("this is not a checkout")
     script = samples.read_text().replace("http://127.0.0.1:7411", server.url)

@@ -98,7 +98,7 @@ def test_triangles_are_found_behind_points_that_no_file_of_triangles_has(server:
     views = [(0, 24), (24, 48), (72, 24)]
     document = {
         "asset": {"version": "2.0"},
-        "buffers": [{"byteLength": len(data), "uri": "data:;base64," + base64.b64encode(data).decode()}],
+        "buffers": [{"byteLength": len(data), "uri": "data:application/octet-stream;base64," + base64.b64encode(data).decode()}],
         "bufferViews": [{"buffer": 0, "byteOffset": first, "byteLength": size} for first, size in views],
         "accessors": [
             {"bufferView": 0, "componentType": 5126, "count": 2, "type": "VEC3", "min": [0, 0.2, 0], "max": [0.2, 0.2, 0.2]},
