@@ -54,7 +54,7 @@ fn whole_avatar(is_first: bool) -> Vec<u8> {
         "title": "column", "name": "column", "authors": ["pliant"], "licenseUrl": "https://vrm.dev/licenses/1.0/",
     });
     if is_first {
-        // three-vrm refuses hair that collides with the bone that it hangs on by itself.
+        // three-vrm refuses hair whose colliders are on the bone that it moves.
         document["extensions"]["VRM"]["secondaryAnimation"]["boneGroups"][0]["bones"] = json!([3]);
     } else {
         let springs = &mut document["extensions"]["VRMC_springBone"];
