@@ -95,7 +95,7 @@ impl ContactSurface<'_> {
             if best.0 == 0 {
                 break;
             }
-            let at = displaced(base, &region, &best.1);
+            let mut at = displaced(base, &region, &best.1);
             let mut finder = ContactFinder {
                 normals: smooth_normals(self.mesh, &at, style.smoothing),
                 knowledge: best.2.clone(),
@@ -110,13 +110,14 @@ impl ContactSurface<'_> {
             };
             for _ in 0..ROUNDS {
                 exec.check()?;
-                finder.look(&displaced(base, &region, &moved), &crossings);
+                finder.look(&at, &crossings);
                 DisplacementProblem::new(&finder, base, &rest_bend).improve(&mut moved, exec)?;
-                crossings = match self.crossings(&displaced(base, &region, &moved), Some(&region.is_near), exec)? {
+                at = displaced(base, &region, &moved);
+                crossings = match self.crossings(&at, Some(&region.is_near), exec)? {
                     Some(crossings) => crossings,
                     None => break,
                 };
-                if crossings.len() < best.0 && is_worth(crossings.len(), &displaced(base, &region, &moved)) {
+                if crossings.len() < best.0 && is_worth(crossings.len(), &at) {
                     best = (crossings.len(), moved.clone(), finder.knowledge.clone());
                 }
                 if best.0 == 0 || crossings.len() > LOST * before.len() {
