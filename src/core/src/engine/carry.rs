@@ -33,13 +33,13 @@ impl Deformer {
     ///
     /// # Errors
     /// [`Error::Internal`] for a shape of another model, and where what rides along cannot be bound, as in [`Deformer::solve`].
-    pub fn gradients(&self, positions: &[DVec3], exec: &Exec<'_>) -> Result<LocalGradients, Error> {
+    pub fn gradients(&self, positions: &[DVec3], exec: &Exec<'_>) -> Result<Arc<LocalGradients>, Error> {
         if positions.len() != self.rest().len() {
             return Err(Error::Internal("the shape of another model".into()));
         }
         let frames = self.derived.pack_riders(&self.room_limits(), exec)?;
         let current = self.mesh().welded(positions);
-        Ok(frames.place(&current, None, positions.len(), exec.pool))
+        Ok(frames.place(&current, None, exec.pool))
     }
 
     /// Carries points of the rest space along with a shape of this model, in order.

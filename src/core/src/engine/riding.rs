@@ -12,6 +12,7 @@ use crate::pool::Pool;
 use crate::progress::Cancelled;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 /// What finding what one vertex of a passenger follows may look at on average: some tens of microseconds. Where faces are of about
 /// one size it looks at a hundredth of it.
@@ -21,8 +22,18 @@ const LEAST_VISITS: u64 = 1 << 31;
 /// The same for vertices in no triangle, which ride along without being asked to: a few seconds at most.
 pub(super) const VISITS_PER_LOOSE_VERTEX: u64 = 128;
 pub(super) const LEAST_LOOSE_VISITS: u64 = 1 << 24;
-/// Vertices after which what was looked at and what is held are counted.
-const BLOCK: usize = 512;
+/// Vertices after which what was looked at and what is held are counted: the first time, and at most, because those near each other
+/// are found faster together.
+const FIRST_BLOCK: usize = 512;
+const LARGEST_BLOCK: u64 = 1 << 16;
+/// About what one block after that looks at: some tenths of a second.
+const VISITS_PER_BLOCK: u64 = 1 << 23;
+
+/// How many vertices are bound before what was looked at is counted again, where `visits` were made for `bound` vertices.
+fn next_block(bound: usize, visits: u64) -> usize {
+    let block = VISITS_PER_BLOCK * bound as u64 / visits.max(1);
+    block.clamp(FIRST_BLOCK as u64, LARGEST_BLOCK) as usize
+}
 
 /// Marks the primitives that ride along.
 ///
@@ -170,37 +181,40 @@ impl RidingVertices {
             left_behind: 0,
         };
         let limit = LEAST_VISITS + VISITS_PER_VERTEX * bodies as u64;
-        let mut visits = 0;
-        let bind_more = |points: &mut CarriedPoints, block: &[u32]| {
-            let places: Vec<DVec3> = block.iter().map(|&v| model.rest[v as usize]).collect();
-            points.bind_more(surface, &places, exec)
-        };
-        for block in riders.vertices[..bodies].chunks(BLOCK) {
-            visits += bind_more(&mut riders.points, block)?;
-            if visits > limit {
-                return Err(Error::Precondition(format!(
-                    "finding what the vertices of passengers follow takes more than {limit} comparisons, because faces are as \
-                     long as the model; remesh the model to give it faces of about one size, or open it without these passengers"
-                )));
+        let bind_all = |riders: &mut Self, range: Range<usize>, limit: u64| -> Result<bool, Error> {
+            let (mut at, mut visits) = (range.start, 0);
+            while at < range.end {
+                let end = range.end.min(at + next_block(at - range.start, visits));
+                let places: Vec<DVec3> = riders.vertices[at..end]
+                    .iter()
+                    .map(|&v| model.rest[v as usize])
+                    .collect();
+                visits += riders.points.bind_more(surface, &places, exec)?;
+                if visits > limit {
+                    return Ok(false);
+                }
+                admit(riders.byte_size() as u64)?;
+                at = end;
             }
-            admit(riders.byte_size() as u64)?;
+            Ok(true)
+        };
+        if !bind_all(&mut riders, 0..bodies, limit)? {
+            return Err(Error::Precondition(format!(
+                "finding what the vertices of passengers follow takes more than {limit} comparisons, because faces are as \
+                 long as the model; remesh the model to give it faces of about one size, or open it without these passengers"
+            )));
         }
-        let loose = riders.vertices.len() - bodies;
+        let all = riders.vertices.len();
+        let loose = all - bodies;
         let limit = match model.of_splats {
             true => LEAST_VISITS + VISITS_PER_VERTEX * loose as u64,
             false => LEAST_LOOSE_VISITS + VISITS_PER_LOOSE_VERTEX * loose as u64,
         };
         let bound = riders.points.clone();
-        visits = 0;
-        for block in riders.vertices[bodies..].chunks(BLOCK) {
-            visits += bind_more(&mut riders.points, block)?;
-            if visits > limit {
-                // All of them stay: a cloud is not torn.
-                riders.points = bound;
-                riders.left_behind = loose;
-                break;
-            }
-            admit(riders.byte_size() as u64)?;
+        if !bind_all(&mut riders, bodies..all, limit)? {
+            // All of them stay: a cloud is not torn.
+            riders.points = bound;
+            riders.left_behind = loose;
         }
         Ok(riders)
     }

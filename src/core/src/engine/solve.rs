@@ -209,7 +209,7 @@ impl Deformer {
             positions: Arc::new(positions),
             stats: solved.stats,
             turns: handles.found_turns(&free, &transforms),
-            gradients: gradients.map(Arc::new),
+            gradients,
         })
     }
 }
@@ -376,7 +376,7 @@ impl ShapeTransfer<'_> {
         nodes: &[DVec3],
         frames: &[[f32; 9]],
         transforms: &[Transform],
-    ) -> (Vec<DVec3>, Option<LocalGradients>) {
+    ) -> (Vec<DVec3>, Option<Arc<LocalGradients>>) {
         let at_rest = &self.body.graph.positions;
         let place = |(&rest, &solver): (&DVec3, &u32)| {
             let s = solver as usize;
@@ -405,8 +405,7 @@ impl ShapeTransfer<'_> {
         // As elsewhere: what has not moved keeps the bits of the rest shape.
         let current = &nodes[..self.mesh.positions.len()];
         if let Some(frames) = &self.frames {
-            let count = positions.len();
-            let gradients = frames.place(current, Some(&mut positions), count, self.pool);
+            let gradients = frames.place(current, Some(&mut positions), self.pool);
             return (positions, Some(gradients));
         }
         if let Some((surface, riders)) = self.riders {

@@ -667,5 +667,5 @@ fn gradients_of_a_bent_drag_are_those_of_the_exact_field_on_any_number_of_thread
     // The vertices that are solved have the same places with and without gradients.
     assert_eq!(shape[splats..], plain[splats..]);
     let asked = deformer.gradients(&shape.positions, &exec).expect("gradients");
-    assert_eq!(&asked, gradients, "they are a function of the shape");
+    assert_eq!(&*asked, gradients, "they are a function of the shape");
 }

@@ -5,6 +5,7 @@
 use crate::carry::motion::{CarriedFrame, SurfaceMotion};
 use crate::carry::motion::{CarrySurface, NearestPlace};
 use crate::carry::stretch::{CarriedSpace, SurfaceStretch};
+use crate::measure::BoundingBox;
 use crate::query::closest_point::{blend_corners, closest_weights_on_triangle};
 use glam::DVec3;
 use pliant_exec::Exec;
@@ -47,37 +48,49 @@ impl CarriedPoints {
     /// # Errors
     /// As there; nothing is added then.
     pub fn bind_more(&mut self, surface: &CarrySurface, points: &[DVec3], exec: &Exec<'_>) -> Result<u64, Cancelled> {
+        // Points that are near each other look at the same parts of the surface, and find them in a cache.
+        let order = order_by_place(points);
         let batches: Vec<(Self, u64)> = exec.pool.install(|| {
-            let batches = points.par_chunks(BATCH);
+            let batches = order.par_chunks(BATCH);
             batches
-                .map(|batch| Self::bind_batch(surface, batch, exec))
+                .map(|batch| Self::bind_batch(surface, points, batch, exec))
                 .collect::<Result<_, _>>()
         })?;
+        let mut place_in = vec![0u32; points.len()];
+        order
+            .iter()
+            .zip(0..)
+            .for_each(|(&point, place)| place_in[point as usize] = place);
         if self.first.is_empty() {
             self.first.push(0);
         }
-        let mut visits = 0;
-        for (batch, own_visits) in batches {
-            let begin = self.samples.len();
-            self.points.extend(batch.points);
-            self.levers.extend(batch.levers);
-            self.first.extend(batch.first.iter().skip(1).map(|end| begin + end));
-            self.samples.extend(batch.samples);
-            self.weights.extend(batch.weights);
-            visits += own_visits;
+        self.points.extend_from_slice(points);
+        for place in place_in.iter().map(|&place| place as usize) {
+            let (batch, k) = (&batches[place / BATCH].0, place % BATCH);
+            let followed = batch.first[k]..batch.first[k + 1];
+            self.levers.push(batch.levers[k]);
+            self.samples.extend_from_slice(&batch.samples[followed.clone()]);
+            self.weights.extend_from_slice(&batch.weights[followed]);
+            self.first.push(self.samples.len());
         }
-        Ok(visits)
+        Ok(batches.iter().map(|batch| batch.1).sum())
     }
 
-    fn bind_batch(surface: &CarrySurface, points: &[DVec3], exec: &Exec<'_>) -> Result<(Self, u64), Cancelled> {
+    /// Binds the points of these numbers, without keeping where they are.
+    fn bind_batch(
+        surface: &CarrySurface,
+        points: &[DVec3],
+        numbers: &[u32],
+        exec: &Exec<'_>,
+    ) -> Result<(Self, u64), Cancelled> {
         let mut bound = Self {
-            points: points.to_vec(),
             first: vec![0],
             ..Self::default()
         };
         let mut around = Neighbourhood::default();
-        for &point in points {
+        for &number in numbers {
             exec.check()?;
+            let point = points[number as usize];
             around.gather(surface, point);
             bound.levers.push(lever(surface, &around, point));
             bound.samples.extend(around.samples.iter().map(|s| s.0));
@@ -279,6 +292,22 @@ impl SurfaceCarrier {
     }
 }
 
+/// The numbers of points in an order in which those near each other follow each other: that of Morton (1966), in 1024 steps along each
+/// axis.
+fn order_by_place(points: &[DVec3]) -> Vec<u32> {
+    const STEPS: f64 = 1023.0;
+    let bounds = BoundingBox::of(points);
+    let step = bounds.size().max_element() / STEPS;
+    let apart = |number: f64| (0..10).fold(0u64, |all, bit| all | (number as u64 >> bit & 1) << (3 * bit));
+    let key = |(point, number): (&DVec3, u32)| {
+        let [x, y, z] = ((*point - bounds.min) / step).to_array().map(apart);
+        ((x | y << 1 | z << 2) << 32) | u64::from(number)
+    };
+    let mut keys: Vec<u64> = points.iter().zip(0..).map(key).collect();
+    keys.sort_unstable();
+    keys.iter().map(|&key| key as u32).collect()
+}
+
 /// From the mean place of what a point follows to the point.
 fn lever(surface: &CarrySurface, around: &Neighbourhood, point: DVec3) -> DVec3 {
     let place = |&(sample, weight): &(u32, f64)| (surface.sample_place(sample) - point) * weight;
@@ -304,6 +333,9 @@ pub(super) struct Neighbourhood {
     /// Parts of surfaces that were looked at, for all points so far.
     pub(super) visits: u64,
     near: Vec<NearPart>,
+    /// The shares of samples as they come, and the numbers by which they are sorted: the sample, and which share it is.
+    parts: Vec<(u32, f64)>,
+    keys: Vec<u64>,
     waiting: Vec<(u32, f64)>,
 }
 
@@ -328,6 +360,7 @@ impl Neighbourhood {
     /// Finds what `point` follows.
     pub(super) fn gather(&mut self, surface: &CarrySurface, point: DVec3) {
         self.samples.clear();
+        self.parts.clear();
         self.near.clear();
         let Some(nearest) = surface.find_nearest(point, &mut self.visits) else {
             return;
@@ -353,7 +386,7 @@ impl Neighbourhood {
             if distance >= reach {
                 continue;
             }
-            let merged = share * far_share(node.bounds.diagonal(), distance * (distance / nearest.distance));
+            let merged = share * far_share(node.diagonal, distance * (distance / nearest.distance));
             if merged > 0.0 {
                 let offset = point - node.center;
                 let away = offset.length().max(nearest.distance);
@@ -373,13 +406,17 @@ impl Neighbourhood {
                 continue;
             }
             for place in children {
+                if surface.balls[place as usize].is_beyond(point, reach) {
+                    continue;
+                }
                 let triangle = surface.order[place as usize];
                 let corners = surface.corners(triangle);
                 let (weights, square) = closest_weights_on_triangle(point, corners);
                 let away = square.sqrt().max(nearest.distance);
-                let weight = proximity(away, nearest.distance) * seen_area(surface.weights[place as usize], away);
-                let normal = surface.doubled_normal(triangle).normalize_or_zero();
+                let near = proximity(away, nearest.distance);
+                let weight = near * seen_area(surface.weights[place as usize], away);
                 if weight > 0.0 {
+                    let normal = surface.normals[place as usize];
                     self.near.push(NearPart {
                         part: SeenPart::Triangle(triangle, weights),
                         weight: apart * weight,
@@ -399,11 +436,12 @@ impl Neighbourhood {
             side += near.weight * near.facing;
         }
         let side = if total > 0.0 { side / total } else { 0.0 };
-        for near in std::mem::take(&mut self.near) {
+        for place in 0..self.near.len() {
+            let near = self.near[place];
             let agreement = 0.5 * (1.0 + side * near.facing);
             let weight = near.weight * (WRONG_SIDE + agreement * agreement);
             match near.part {
-                SeenPart::Cluster(node) => self.samples.push((surface.rest.len() as u32 + node, weight)),
+                SeenPart::Cluster(node) => self.parts.push((surface.rest.len() as u32 + node, weight)),
                 SeenPart::Triangle(triangle, corners) => self.follow_triangle(surface, triangle, corners, weight),
             }
         }
@@ -412,19 +450,25 @@ impl Neighbourhood {
     fn follow_triangle(&mut self, surface: &CarrySurface, triangle: u32, corners: [f64; 3], weight: f64) {
         let vertices = surface.triangles[triangle as usize];
         let used = vertices.into_iter().zip(corners).filter(|&(_, corner)| corner > 0.0);
-        self.samples.extend(used.map(|(v, corner)| (v, weight * corner)));
+        self.parts.extend(used.map(|(v, corner)| (v, weight * corner)));
     }
 
     /// Adds what belongs to one sample and makes the weights add to 1.
     fn merge_equal(&mut self) {
-        self.samples.sort_by_key(|s| s.0);
-        self.samples.dedup_by(|next, kept| {
-            let same = next.0 == kept.0;
-            if same {
-                kept.1 += next.1;
+        // Of one sample in the order in which they came, so that sums round as they always have.
+        self.keys.clear();
+        let keys = (0u64..)
+            .zip(&self.parts)
+            .map(|(place, part)| u64::from(part.0) << 32 | place);
+        self.keys.extend(keys);
+        self.keys.sort_unstable();
+        for &key in &self.keys {
+            let (sample, weight) = self.parts[(key & u64::from(u32::MAX)) as usize];
+            match self.samples.last_mut() {
+                Some(kept) if kept.0 == sample => kept.1 += weight,
+                _ => self.samples.push((sample, weight)),
             }
-            same
-        });
+        }
         let total: f64 = self.samples.iter().map(|s| s.1).sum();
         self.samples.iter_mut().for_each(|s| s.1 /= total);
     }

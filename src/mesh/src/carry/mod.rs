@@ -16,11 +16,15 @@
 
 mod carried_points;
 mod motion;
+mod packed_lanes;
+mod packed_motion;
 mod packed_points;
 mod stretch;
+mod triangle_ball;
 
 pub use carried_points::{CarriedPoints, SurfaceCarrier};
 pub use motion::CarrySurface;
 pub use motion::{CarriedFrame, SurfaceMotion};
-pub use packed_points::{LocalGradients, PackedMotion, PackedPoints};
+pub use packed_motion::PackedMotion;
+pub use packed_points::{LocalGradients, PackedPoints};
 pub use stretch::{CarriedSpace, SurfaceStretch};

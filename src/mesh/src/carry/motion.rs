@@ -2,6 +2,7 @@
 //!
 //! The rest surface: a tree whose nodes stand for the triangles below them when seen from far away.
 
+use crate::carry::triangle_ball::TriangleBall;
 use crate::measure::BoundingBox;
 use crate::query::TriangleBvh;
 use crate::query::closest_point::closest_weights_on_triangle;
@@ -31,6 +32,8 @@ pub struct CarriedFrame {
 #[derive(Debug, Clone)]
 pub struct SurfaceMotion {
     samples: Vec<SampleMotion>,
+    /// How many of them are vertices.
+    vertices: usize,
     /// The rotation that fits the whole surface best.
     whole: DQuat,
 }
@@ -66,7 +69,11 @@ impl SurfaceMotion {
             let whole = whole_rotation(surface, current);
             let mut samples = vertex_motions(surface, current, whole);
             surface.add_clusters(&mut samples);
-            Self { samples, whole }
+            Self {
+                samples,
+                vertices: current.len(),
+                whole,
+            }
         })
     }
 
@@ -78,7 +85,11 @@ impl SurfaceMotion {
     /// The displacement of a sample, its rotation and the logarithm of its scale.
     pub(super) fn of_sample(&self, sample: usize) -> (DVec3, DQuat, f64) {
         let own = &self.samples[sample];
-        (own.displacement, turning_part(own.rotation, self.whole), own.log_scale)
+        let rotation = match sample < self.vertices {
+            true => DQuat::from_mat3(&own.rotation),
+            false => turning_part(own.rotation, self.whole),
+        };
+        (own.displacement, rotation, own.log_scale)
     }
 
     /// The rotation that fits the whole surface best.
@@ -295,7 +306,7 @@ pub(super) fn weighted_gradient(rest: [DVec3; 3], now: [DVec3; 3]) -> Option<DMa
 /// What a triangle without area weighs, as a fraction of the squared diagonal: a surface of nothing else has samples too.
 const LEAST_AREA: f64 = 1e-12;
 
-/// A rest surface, ready to carry points. It owns what it needs, about 150 bytes per triangle, and depends on the
+/// A rest surface, ready to carry points. It owns what it needs, about 200 bytes per triangle, and depends on the
 /// triangles alone.
 ///
 /// Its *samples* are the vertices, numbered as given, and after them the clusters: nodes of a bounding-volume hierarchy that
@@ -308,6 +319,10 @@ pub struct CarrySurface {
     pub(super) order: Vec<u32>,
     /// What each triangle weighs, in that order.
     pub(super) weights: Vec<f64>,
+    /// A ball around each triangle, in that order.
+    pub(super) balls: Vec<TriangleBall>,
+    /// Their unit normals, 0 without an area.
+    pub(super) normals: Vec<DVec3>,
     /// Leaves first, then each level above; the root is last.
     pub(super) nodes: Vec<ClusterNode>,
     pub(super) leaves: usize,
@@ -319,6 +334,8 @@ pub struct CarrySurface {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ClusterNode {
     pub(super) bounds: BoundingBox,
+    /// The length of the diagonal of that.
+    pub(super) diagonal: f64,
     /// Centre of mass of its triangles.
     pub(super) center: DVec3,
     /// Mean of its unit normals; shorter than 1 where they differ.
@@ -363,6 +380,8 @@ impl CarrySurface {
             triangles: triangles.to_vec(),
             order,
             weights: Vec::new(),
+            balls: Vec::new(),
+            normals: Vec::new(),
             nodes: Vec::with_capacity(shape.len()),
             leaves,
             diagonal,
@@ -370,6 +389,10 @@ impl CarrySurface {
         pool.install(|| {
             let area = |&t: &u32| 0.5 * surface.doubled_normal(t).length() + floor;
             surface.weights = surface.order.par_iter().map(area).collect();
+            let ball = |&t: &u32| TriangleBall::around(surface.corners(t));
+            surface.balls = surface.order.par_iter().map(ball).collect();
+            let normal = |&t: &u32| surface.doubled_normal(t).normalize_or_zero();
+            surface.normals = surface.order.par_iter().map(normal).collect();
             let leaf = |&(first, count): &(u32, u32)| surface.measure_leaf(first, count);
             let measured: Vec<ClusterNode> = shape[..leaves]
                 .par_iter()
@@ -400,6 +423,8 @@ impl CarrySurface {
             + size_of_val(self.triangles.as_slice())
             + size_of_val(self.order.as_slice())
             + size_of_val(self.weights.as_slice())
+            + size_of_val(self.balls.as_slice())
+            + size_of_val(self.normals.as_slice())
             + size_of_val(self.nodes.as_slice())
     }
 
@@ -461,6 +486,7 @@ impl CarrySurface {
     pub(super) fn find_nearest(&self, point: DVec3, visits: &mut u64) -> Option<NearestPlace> {
         let root = self.nodes.len().checked_sub(1)?;
         let mut best = (f64::INFINITY, u32::MAX, [1.0, 0.0, 0.0]);
+        let mut nearest = f64::INFINITY;
         // Sixteen levels, four children each, one of them taken off.
         let mut waiting = [(0.0f64, root as u32); 64];
         let mut len = 1;
@@ -473,10 +499,15 @@ impl CarrySurface {
             }
             let node = &self.nodes[index as usize];
             if (index as usize) < self.leaves {
-                for &t in &self.order[node.first as usize..(node.first + node.count) as usize] {
+                for place in node.first as usize..(node.first + node.count) as usize {
+                    if self.balls[place].is_beyond(point, nearest) {
+                        continue;
+                    }
+                    let t = self.order[place];
                     let (corners, square) = closest_weights_on_triangle(point, self.corners(t));
                     if (square, t) < (best.0, best.1) {
                         best = (square, t, corners);
+                        nearest = square.sqrt();
                     }
                 }
                 continue;
@@ -504,6 +535,7 @@ impl ClusterNode {
     fn empty(bounds: BoundingBox, first: u32, count: u32) -> Self {
         Self {
             bounds,
+            diagonal: 0.0,
             center: DVec3::ZERO,
             normal: DVec3::ZERO,
             weight: 0.0,
@@ -522,6 +554,7 @@ impl ClusterNode {
     fn finished(mut self) -> Self {
         self.center /= self.weight;
         self.normal /= self.weight;
+        self.diagonal = self.bounds.diagonal();
         self
     }
 

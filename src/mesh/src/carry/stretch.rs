@@ -8,6 +8,7 @@ use crate::carry::motion::{Averaged, CarriedFrame, CarrySurface, SurfaceMotion, 
 use crate::rotation::outer_product;
 use glam::{DMat3, DVec3};
 use pliant_exec::pool::Pool;
+use rayon::prelude::*;
 
 /// What the guess across a triangle weighs beside what its plane says.
 const ACROSS: f64 = 0.1;
@@ -71,24 +72,32 @@ impl Averaged for SampleStretch {
 impl SurfaceStretch {
     /// Measures how `surface` has stretched in `motion`.
     pub(super) fn of(surface: &CarrySurface, motion: &SurfaceMotion, pool: &Pool) -> Self {
-        let mut sums = vec![(SampleStretch::NONE, 0.0f64); surface.vertices()];
-        for (t, triangle) in (0u32..).zip(&surface.triangles) {
+        let of_triangle = |t: u32| {
+            let triangle = surface.triangles[t as usize];
             let rest = surface.corners(t);
-            let now = |c: usize| rest[c] + motion.displacement(triangle[c] as usize);
-            let (Some(gradient), Some(unit)) = (
-                weighted_gradient(rest, [now(0), now(1), now(2)]),
-                surface.doubled_normal(t).try_normalize(),
-            ) else {
-                continue;
-            };
-            let area = 0.5 * surface.doubled_normal(t).length();
+            let now = triangle.map(|v| surface.rest[v as usize] + motion.displacement(v as usize));
+            let gradient = weighted_gradient(rest, now)?;
+            let doubled = surface.doubled_normal(t);
+            let unit = doubled.try_normalize()?;
+            let area = 0.5 * doubled.length();
             let plane = DMat3::IDENTITY - outer_product(unit, unit) * (1.0 - ACROSS);
             let own = SampleStretch {
                 moved: gradient * plane,
                 rest: plane * area,
             };
+            Some((own, area))
+        };
+        let of_triangles: Vec<Option<(SampleStretch, f64)>> = pool.install(|| {
+            let triangles = (0..surface.triangles.len() as u32).into_par_iter().with_min_len(256);
+            triangles.map(of_triangle).collect()
+        });
+        let mut sums = vec![(SampleStretch::NONE, 0.0f64); surface.vertices()];
+        for (triangle, own) in surface.triangles.iter().zip(&of_triangles) {
+            let Some((own, area)) = own else {
+                continue;
+            };
             for &v in triangle {
-                sums[v as usize].0.add(1.0, &own);
+                sums[v as usize].0.add(1.0, own);
                 sums[v as usize].1 += area;
             }
         }

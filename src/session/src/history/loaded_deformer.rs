@@ -295,7 +295,7 @@ impl LoadedDeformer {
         exec: &Exec<'_>,
     ) -> Result<Option<Arc<LocalGradients>>, Error> {
         match self.engine.deformer() {
-            Some(deformer) if output.gradients => Ok(Some(Arc::new(deformer.gradients(positions, exec)?))),
+            Some(deformer) if output.gradients => Ok(Some(deformer.gradients(positions, exec)?)),
             _ => Ok(None),
         }
     }
