@@ -2,7 +2,8 @@
 
 use super::error::Error;
 use super::facts::DeformerWarning;
-use super::handle::{Falloff, FalloffCurve, Handle, HandlePose, HandleSet, Region};
+use super::handle::{Falloff, FalloffCurve, Handle, HandlePose, HandleSet};
+use super::region::Region;
 use super::region_context::{
     MirrorPlane, RegionContext, RegionNodes, holds_nothing, nodes_in_region, region_centroid, vertices_in_region,
     vertices_of_handle,
@@ -57,7 +58,7 @@ pub(super) struct ResolvedHandles {
 pub(super) fn resolve_handles(
     context: &RegionContext<'_>,
     body: &DeformableBody,
-    set: HandleSet,
+    mut set: HandleSet,
     policy: FreePartPolicy,
     admit: &HeldBytesAdmission<'_>,
 ) -> Result<(ResolvedHandles, HandleSetup), Error> {
@@ -85,7 +86,10 @@ pub(super) fn resolve_handles(
         (resolved.centroids).push(region_centroid(context, graph, &vertices, &held.nodes));
         let at = format!("handles[{k}]");
         let mut hold = hold_nodes(body, handle, held, &at, context.exec)?;
-        let mut targets = (handle.targets).map(|per| TargetVertices::of(context, &vertices, per, &mut hold.pulls));
+        let mut targets = (handle.targets.is_some())
+            .then(|| TargetVertices::of(context, &vertices, handle, &mut hold.pulls))
+            .transpose()
+            .map_err(in_region)?;
         if let Some(targets) = &mut targets {
             let admit_guide = |bytes| admit(held_bytes + bytes);
             targets.bind_guide(handle, context.positions, &at, &admit_guide, context.exec)?;
@@ -127,6 +131,12 @@ pub(super) fn resolve_handles(
     unreferenced.reverse();
     resolved.unreferenced = unreferenced;
     resolved.counts = count_held(context, body, &holds, set.handles.len(), &frozen);
+    // By their corners they outlive an edit.
+    for (handle, targets) in set.handles.iter_mut().zip(&resolved.targets) {
+        if let Some(targets) = targets {
+            targets.name_corners(&mut handle.region);
+        }
+    }
     for (count, targets) in resolved.counts.iter_mut().zip(&resolved.targets) {
         count.vertices = targets.as_ref().map_or(count.vertices, TargetVertices::count);
     }

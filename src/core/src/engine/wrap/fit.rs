@@ -254,6 +254,7 @@ impl FitSolver {
             hold,
             places: all.iter().map(|w| w.place).collect(),
             weights: all.iter().map(|w| w.weight).collect(),
+            points: Vec::new(),
         };
         let targets = [targets(ALL, wanted), targets(ANCHORED, anchors)];
         self.handles.set_targets(&self.body, &targets, &mut self.state, exec)?;
