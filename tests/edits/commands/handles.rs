@@ -213,7 +213,9 @@ fn a_pose_that_the_first_edit_of_a_job_would_drop_is_refused() {
     };
     let refused = run("CURRENT", r#""subdivide": {}"#).err().map(|e| e.to_string());
     assert!(
-        refused.as_deref().is_some_and(|e| e.starts_with("handles[1].pose is given, but the first step is an edit")),
+        refused
+            .as_deref()
+            .is_some_and(|e| e.starts_with("handles[1].pose: is given, but the first step is an edit")),
         "{refused:?}"
     );
     run("REST", r#""subdivide": {}"#).expect("an edit of the rest pose keeps poses");

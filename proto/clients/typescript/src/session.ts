@@ -216,7 +216,7 @@ export class Session {
     return result;
   }
 
-  /** Waits for a call, and tells how far the server is with it. */
+  /** Waits for a call, and reports how far the server is with it. */
   private async watching<T>(answer: Promise<T>, onWork: WorkOptions["onWork"]): Promise<T> {
     if (onWork === undefined) return answer;
     let isOver = false;

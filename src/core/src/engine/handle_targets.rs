@@ -124,7 +124,7 @@ impl ResolvedHandles {
                 led: led.as_deref(),
                 rest,
             };
-            Some(points.pulls((hold, &holds[hold]), derived, &wanted))
+            Some(points.pulls(hold, &holds[hold], derived, &wanted))
         });
         some.collect()
     }

@@ -309,16 +309,16 @@ fn membership<'a>(context: &RegionContext<'_>, region: &'a Region) -> Result<Mem
 pub(super) fn anchor_corners(context: &RegionContext<'_>, anchor: &Anchor, number: usize) -> Result<[u32; 3], Error> {
     let mesh = context.mesh;
     match anchor.corners {
-        AnchorCorners::Face(face) => {
-            let field = || format!(".anchors.faces[{number}]");
-            let count = (context.primitives.iter()).map(|p| p.index_count as usize / 3).sum();
-            require_number(face, count, field, "triangles")?;
-            let Ok(at) = mesh.source_triangle.binary_search(&face) else {
+        AnchorCorners::Face(face) => match mesh.source_triangle.binary_search(&face) {
+            Ok(at) => Ok(mesh.triangles[at].map(|v| mesh.render_vertices_of(v)[0])),
+            Err(_) => {
+                let field = || format!(".anchors.faces[{number}]");
+                let count = (context.primitives.iter()).map(|p| p.index_count as usize / 3).sum();
+                require_number(face, count, field, "triangles")?;
                 let problem = format!("is {face}, a triangle that is not solved: of a passenger, or one without area");
-                return Err(Error::invalid(field(), problem));
-            };
-            Ok(mesh.triangles[at].map(|v| mesh.render_vertices_of(v)[0]))
-        }
+                Err(Error::invalid(field(), problem))
+            }
+        },
         AnchorCorners::Vertices(corners) => {
             for (k, corner) in corners.into_iter().enumerate() {
                 let field = || format!(".anchors.corners[{}]", 3 * number + k);

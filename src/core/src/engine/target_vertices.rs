@@ -79,6 +79,10 @@ impl TargetVertices {
         };
         let corners = (anchors.iter().enumerate()).map(|(k, anchor)| {
             let sum: f64 = anchor.weights.iter().map(|w| f64::from(*w)).sum();
+            if !(anchor.weights.iter().all(|w| *w >= 0.0) && sum > 0.0 && sum.is_finite()) {
+                let problem = format!("are {:?}; allowed are 0 to 1, and together 1", anchor.weights);
+                return Err(Error::invalid(format!(".anchors.weights[{}]", 3 * k), problem));
+            }
             Ok((
                 anchor_corners(context, anchor, k)?,
                 anchor.weights.map(|w| f64::from(w) / sum),
@@ -247,7 +251,8 @@ impl TargetVertices {
     /// averaged by weight.
     pub fn pulls(
         &self,
-        (number, hold): (usize, &HandleConstraint),
+        number: usize,
+        hold: &HandleConstraint,
         derived: &DerivedStructures,
         wanted: &WantedPlaces<'_>,
     ) -> HoldTargets {
@@ -287,10 +292,10 @@ impl TargetVertices {
                 points: Vec::new(),
             };
         }
-        let counts = sums.iter().map(|sum| sum.2).collect();
+        let counts: Vec<u32> = sums.iter().map(|sum| sum.2).collect();
         HoldTargets {
             hold: number,
-            points: self.planes(counts, hold, derived, (wanted, &places)),
+            points: self.planes(&counts, hold, derived, wanted, &places),
             places: Vec::new(),
             weights,
         }
@@ -323,10 +328,11 @@ impl TargetVertices {
     /// The vertices as points that are wanted in planes. Given are the vertices of each pull, and the places of the pulls.
     fn planes(
         &self,
-        counts: Vec<u32>,
+        counts: &[u32],
         hold: &HandleConstraint,
         derived: &DerivedStructures,
-        (wanted, places): (&WantedPlaces<'_>, &[DVec3]),
+        wanted: &WantedPlaces<'_>,
+        places: &[DVec3],
     ) -> Vec<PulledPoint> {
         let own = match wanted.targets.normals.is_empty() {
             true => target_normals(hold, derived, places),
@@ -393,7 +399,7 @@ fn normal_of(targets: &VertexTargets, k: usize) -> DVec3 {
     normal.as_dvec3().normalize_or_zero()
 }
 
-/// By pull of a hold, the normal of the surface that it makes with its nodes at `places` and the others at rest.
+/// By pull of a hold, the normal of the surface that it makes with its nodes at `places` and the others in the rest pose.
 fn target_normals(hold: &HandleConstraint, derived: &DerivedStructures, places: &[DVec3]) -> Vec<DVec3> {
     let mut positions = derived.mesh.positions.clone();
     for (&(node, _), place) in hold.pulls.iter().zip(places) {
@@ -429,6 +435,10 @@ pub(super) fn check_targets_alone(set: &HandleSet, handle: &Handle, field: &str)
             )),
             false => Ok(()),
         };
+    }
+    if !(0.0..=1.0).contains(&handle.tangential) {
+        let problem = format!("is {}, allowed are 0 to 1", handle.tangential);
+        return Err(Error::invalid(format!("{field}.targets.tangential"), problem));
     }
     let kinds = handle.constrains;
     let problem = match handle {

@@ -242,8 +242,16 @@ fn clips_of_one_name_stay_apart_and_shapes_that_move_nothing_are_told() {
     };
     let source = model.write_blend_shapes(&all).expect("a GLB").into_files("source.glb");
     let came = transfer(figure(), source, None).expect("shapes");
-    let told: Vec<_> = came.files.warnings.iter().filter(|w| w.code == "shapes-move-nothing").collect();
-    assert!(told.len() == 1 && told[0].message.contains("1 of 2") && told[0].message.contains("\"still\""), "{told:?}");
+    let told: Vec<_> = came
+        .files
+        .warnings
+        .iter()
+        .filter(|w| w.code == "shapes-move-nothing")
+        .collect();
+    assert!(
+        told.len() == 1 && told[0].message.contains("1 of 2") && told[0].message.contains("\"still\""),
+        "{told:?}"
+    );
     let now = read(came.files.into_files("out.glb"));
     let mut expected = clips(&model);
     expected.extend([format!("{name} 2"), "own".to_owned()]);
