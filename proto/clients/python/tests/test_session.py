@@ -632,6 +632,7 @@ def test_work_of_an_edit_is_told_and_its_end_is_named(server: pliant.LocalServer
         assert all(0 <= done <= 100 and total == 100 for done, total in told.counts)
         with pytest.raises(ValueError, match="shape: it is empty"):
             session.transfer(creature, shape=b"")
+        session.edit(subdivide={})
         with pliant.connect(server, timeout=0.3) as hasty:
             with pytest.raises(pliant.DeadlineExceeded, match=r"Edit took longer than the 0.3 s"):
                 hasty.attach(session.id).wrap(creature)
