@@ -93,6 +93,7 @@ pub fn run_and_write(
     let options = DeformOptions::check(&job.pose_options(), "options", u32::MAX)?;
     job.expect.as_ref().map_or(Ok(()), |expect| expect.check("expect"))?;
     let todo = steps_of(job)?;
+    check_begin(job, &todo)?;
     let BatchOutput { format, mut each_step } = output;
     let stages = StageClock::new(millis, exec.progress);
     let exec = Exec::new(exec.pool, &stages);
@@ -350,6 +351,27 @@ pub(crate) fn steps_of(job: &pb::Job) -> Result<Vec<Step>, Error> {
         step.step.clone().ok_or_else(empty)
     };
     steps.map(step).collect()
+}
+
+/// Refuses poses that handles come with and that no step would ever solve: the first one edits the shape that is there and takes the
+/// handles in it as they are. Only a subdivision for poses looks at them.
+fn check_begin(job: &pb::Job, steps: &[Step]) -> Result<(), Error> {
+    let Some(Step::Edit(first)) = steps.first() else {
+        return Ok(());
+    };
+    let is_for_poses = match &first.operation {
+        Some(Operation::Subdivide(subdivide)) => subdivide.auto,
+        _ => false,
+    };
+    let moves = |h: &pb::Handle| h.pose.as_ref().is_some_and(|pose| *pose != pb::HandlePose::default());
+    match job.handles.iter().position(moves) {
+        Some(k) if first.on() == pb::edit_request::On::Current && !is_for_poses => {
+            let problem = "is given, but the first step is an edit, which would drop it; begin with the step {\"pose\": {}}, give the \
+                           pose in a later step, or edit with \"on\": \"REST\"";
+            Err(Error::invalid(format!("handles[{k}].pose"), problem))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// The error of a step, with what edits before it warned of: mostly that is the reason.

@@ -4,7 +4,7 @@ use super::drawing::{DrawnShape, NormalChoice, UpAxisChoice, ViewList, parse_vie
 use super::input_files::{in_file, output_format, read_file, read_model};
 use super::output_files::{OutputPermission, check_ending, spare_companions};
 use super::terminal::{CliFailure, StageSpinner, ThreadArgs, pretty_text, print_json};
-use super::wrap::landmarks::landmarks_from_json;
+use super::wrap::landmarks::{in_names_of_file, landmarks_from_json};
 use crate::asset::{FileSet, Format, Limits, Model, WrittenFiles};
 use crate::deform::VolumeMode;
 use crate::engine::{Deformer, DeformerLimits, OpenOptions, Transferred};
@@ -123,7 +123,7 @@ impl TransferArgs {
         exec: &Exec<'_>,
     ) -> Result<Transferred, CliFailure> {
         let landmarks = match &self.landmarks {
-            Some(path) => landmarks_from_json(&read_file(path)?).map_err(|e| in_file(path, e))?,
+            Some(path) => landmarks_from_json(&read_file(path)?, "source").map_err(|e| in_file(path, e))?,
             None => Vec::new(),
         };
         // In the request own places are on the model that takes, which is the target here.
@@ -150,7 +150,8 @@ impl TransferArgs {
         options.body.volume = VolumeMode::Off;
         let target = target.cloned().unwrap_or_default();
         let deformer = Deformer::open(target, &options, &DeformerLimits::default(), exec)?;
-        Ok(deformer.transfer(deformer.rest(), &command, exec)?)
+        let came = deformer.transfer(deformer.rest(), &command, exec);
+        Ok(came.map_err(|e| in_names_of_file(e, [["own", "target"], ["target", "source"]]))?)
     }
 
     /// Draws source and target in their rest poses and in some shapes.

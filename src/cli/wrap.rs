@@ -16,7 +16,7 @@ use crate::pool::Pool;
 use crate::render::{PictureSize, SheetShape, ViewSheet};
 use crate::wire::{self, pb};
 use clap::Args;
-use landmarks::landmarks_from_json;
+use landmarks::{in_names_of_file, landmarks_from_json};
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -93,7 +93,8 @@ pub(super) fn run_wrap(args: &WrapArgs) -> Result<(), CliFailure> {
     };
     let limits = DeformerLimits::default();
     let exec = Exec::new(&pool, &spinner);
-    let mut outcome = batch::run_and_write(files.clone(), &job, output, &limits, &exec, &millis)?;
+    let outcome = batch::run_and_write(files.clone(), &job, output, &limits, &exec, &millis);
+    let mut outcome = outcome.map_err(|e| in_names_of_file(e, [["own", "template"], ["target", "target"]]))?;
     spinner.finish();
     let written = (args.permission).write_model(&args.output, &outcome.written, &args.template, &files)?;
     outcome.report.output = written.iter().map(|p| p.display().to_string()).collect();
@@ -121,7 +122,7 @@ impl WrapArgs {
     fn job(&self, target: Vec<u8>) -> Result<pb::Job, CliFailure> {
         use pb::edit_request::{Operation, Wrap, wrap};
         let landmarks = match &self.landmarks {
-            Some(path) => landmarks_from_json(&read_file(path)?).map_err(|e| in_file(path, e))?,
+            Some(path) => landmarks_from_json(&read_file(path)?, "template").map_err(|e| in_file(path, e))?,
             None => Vec::new(),
         };
         let mask = match &self.mask {

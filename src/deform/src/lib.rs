@@ -92,7 +92,7 @@ pub use folds::{FaceChanges, FaceSurroundings, unfold_faces, unfold_suspects, un
 pub use guides::{BoundGuide, Guide, GuidePose, GuideProblem};
 pub use handles::{
     FreePartPolicy, HandleConstraint, HandleMotion, HandleSetup, HandleShares, HandleSystem, HoldTargets,
-    NodeOwnership, StiffNodes, UNHELD, carry, shares_difference,
+    NodeOwnership, PulledPoint, StiffNodes, UNHELD, carry, shares_difference,
 };
 pub use pose::{
     FirstPass, FitOrder, PoseRequest, PoseStats, Quality, SolutionExtent, SolveStart, SolveUpdate, SolvedNodes,

@@ -161,6 +161,11 @@ impl PoseSolve<'_> {
             Some(solved) => solved?,
             None => self.fit_in_turn(fit.as_ref(), posed, state, &mut tally)?,
         };
+        if handles.places.has_any_points() {
+            stats = self
+                .settle_points(fit.as_ref(), posed, state, &mut tally)?
+                .unwrap_or(stats);
+        }
         if let Some(fit) = &fit {
             state.volume = VolumeScales::default();
             if self.smooths_borders() {
@@ -288,7 +293,10 @@ impl PoseSolve<'_> {
         state.rhs.resize(3 * self.body.nodes(), 0.0);
         let borders = Some(&state.borders).filter(|borders| self.smooths_borders() && !borders.is_empty());
         let uncorrected = borders.map(|borders| borders.put_into(&mut posed.frames));
-        (self.handles).assemble(self.body, posed, transforms, &mut state.rhs, self.exec.pool);
+        (self.handles).assemble(self.body, posed, &mut state.rhs, self.exec.pool);
+        let (x, rhs) = (&state.x, &mut state.rhs);
+        let at = |node: usize| DVec3::from_slice(&x[3 * node..3 * node + 3]);
+        (self.handles).scatter(self.body, posed, transforms, at, rhs);
         if let Some((borders, uncorrected)) = borders.zip(uncorrected) {
             borders.take_back(uncorrected, &mut posed.frames);
         }

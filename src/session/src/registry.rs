@@ -7,6 +7,7 @@
 use crate::answers::{Tenant, WorkOwner};
 use crate::calls::command::SessionCommand;
 use crate::capacity::call_queue::{CallQueue, SessionLease};
+use crate::capacity::work_watch::{WorkKind, WorkWatch};
 use crate::config::SessionConfig;
 use crate::error::{Error, ErrorCode};
 use crate::history::commit_history::ShownCommits;
@@ -75,6 +76,8 @@ pub(super) struct OpenSession {
     pub unloaded: AtomicBool,
     /// Whether its task works.
     pub busy: AtomicBool,
+    /// The work that runs.
+    pub work: Mutex<Option<(WorkKind, Arc<WorkWatch>)>>,
 }
 
 impl OpenSession {
@@ -110,6 +113,28 @@ impl OpenSession {
         };
         handle_poses_message(&mut session.handles, &view.poses);
         session
+    }
+
+    /// The same with the work that runs.
+    pub fn describe_with_work(&self) -> pb::Session {
+        let work = self.work().as_ref().map(|(kind, watch)| {
+            let (stage, fraction) = watch.newest_report().unwrap_or_default();
+            pb::Work {
+                kind: kind.name().into(),
+                stage: stage.into(),
+                fraction: f64::from(fraction),
+                elapsed_ms: watch.elapsed().as_secs_f64() * 1e3,
+            }
+        });
+        pb::Session {
+            work,
+            ..self.describe()
+        }
+    }
+
+    /// The work that runs.
+    pub fn work(&self) -> MutexGuard<'_, Option<(WorkKind, Arc<WorkWatch>)>> {
+        self.work.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Strong entity tag of the current shape in a representation, with its quotes.

@@ -4,7 +4,7 @@ use super::check::{enumerated, number, plane, points, positive};
 use super::facts::warning_message;
 use super::handles::region;
 use super::other_model::{OtherSource, other_model};
-use super::vertex_targets::float_points;
+use super::vertex_targets::float_points_from;
 use super::wrap::{wrap_command, wrap_report};
 use super::{Error, pb};
 use glam::{DMat3, DMat4, DVec3, DVec4};
@@ -130,7 +130,7 @@ fn adopt(adopt: &message::Adopt) -> Result<Edit, Error> {
         );
         return Err(Error::invalid("adopt.shape", problem));
     }
-    let positions = float_points(&adopt.positions, "adopt.positions")?;
+    let positions = float_points_from(&adopt.positions, "adopt.positions", adopt.first)?;
     Ok(Edit::Adopt { positions })
 }
 

@@ -2,6 +2,7 @@
 //!
 //! Changes of single fields of one handle.
 
+use super::anchors::{anchors, anchors_message};
 use super::check::{enumerated, number, optional_within, plane, points, positive, vector};
 use super::guides::{guide, guide_message};
 use super::poses::{handle_pose, handle_pose_message};
@@ -112,6 +113,7 @@ fn handle(handle: &pb::Handle, field: &str) -> Result<Handle, Error> {
         falloff: handle_falloff(handle.falloff.as_ref(), &format!("{field}.falloff"))?,
         targets: handle_targets(handle.targets.as_ref(), &format!("{field}.targets"))?
             .or(handle.guide.as_ref().map(|_| StiffnessPer::Vertex)),
+        tangential: handle_tangential(handle.targets.as_ref(), &format!("{field}.targets"))?,
         guide: guide(handle.guide.as_ref(), &format!("{field}.guide"))?,
     })
 }
@@ -134,6 +136,17 @@ fn handle_targets(targets: Option<&pb::handle::Targets>, field: &str) -> Result<
         )
     };
     targets.map(per).transpose()
+}
+
+/// Reads how far targets leave the pull along the surface out.
+fn handle_tangential(targets: Option<&pb::handle::Targets>, field: &str) -> Result<f64, Error> {
+    match targets.map_or(0.0, |targets| targets.tangential) {
+        share if (0.0..=1.0).contains(&share) => Ok(share),
+        share => {
+            let problem = format!("is {share}, allowed are 0 to 1");
+            Err(Error::invalid(format!("{field}.tangential"), problem))
+        }
+    }
 }
 
 /// Refuses the id of a handle that is empty or too long.
@@ -196,7 +209,7 @@ pub(super) fn handle_falloff(falloff: Option<&pb::Falloff>, field: &str) -> Resu
 /// [`Error::Invalid`] with the path of the value below `field`, also for a region that is missing.
 pub(super) fn region(region: Option<&pb::Region>, field: &str) -> Result<Region, Error> {
     use pb::region::Region as Message;
-    const KINDS: &str = "vertices, halfSpace, sphere, box, capsule, tube, component, primitive or weights";
+    const KINDS: &str = "vertices, halfSpace, sphere, box, capsule, tube, component, primitive, weights or anchors";
     let Some(region) = region.and_then(|r| r.region.as_ref()) else {
         return Err(Error::invalid(field, format!("is missing, allowed is one of {KINDS}")));
     };
@@ -212,6 +225,7 @@ pub(super) fn region(region: Option<&pb::Region>, field: &str) -> Result<Region,
         Message::Component(part) => Region::Component(part.index),
         Message::Primitive(part) => Region::Primitive(part.index),
         Message::Weights(weights) => Region::Weights(weights.values.clone()),
+        Message::Anchors(list) => Region::Anchors(anchors(list, &format!("{field}.anchors"))?),
         Message::HalfSpace(half) => {
             let message = pb::Plane {
                 normal: half.normal.clone(),
@@ -297,6 +311,7 @@ fn handle_message(handle: &Handle) -> pb::Handle {
                 StiffnessPer::Vertex => pb::handle::targets::StiffnessPer::Vertex.into(),
                 StiffnessPer::Area => pb::handle::targets::StiffnessPer::Area.into(),
             },
+            tangential: handle.tangential,
         }),
     }
 }
@@ -322,6 +337,7 @@ pub fn region_message(region: &Region) -> pb::Region {
         &Region::Component(index) => Message::Component(pb::region::Part { index }),
         &Region::Primitive(index) => Message::Primitive(pb::region::Part { index }),
         Region::Weights(values) => Message::Weights(pb::region::Weights { values: values.clone() }),
+        Region::Anchors(anchors) => Message::Anchors(anchors_message(anchors)),
         Region::HalfSpace(plane) => {
             let pb::Plane { normal, offset } = plane_message(plane);
             Message::HalfSpace(pb::region::HalfSpace { normal, offset })
@@ -366,6 +382,8 @@ pub struct HandlePatch {
     pub falloff: Option<Option<Falloff>>,
     /// Whether it has targets, and what its stiffness is for then; the inner `None` is none.
     pub targets: Option<Option<StiffnessPer>>,
+    /// How far they leave the pull along the surface out.
+    pub tangential: Option<f64>,
     /// What gives their places; the inner `None` is nothing.
     pub guide: Option<Option<Arc<Guide>>>,
 }
@@ -418,6 +436,7 @@ pub fn handle_patch(message: &pb::Handle, fields: &[String], current: &HandleSet
     }
     if named("targets") {
         patch.targets = Some(handle_targets(targets.as_ref(), &at("targets"))?);
+        patch.tangential = Some(handle_tangential(targets.as_ref(), &at("targets"))?);
     }
     if named("guide") {
         patch.guide = Some(guide(new_guide.as_ref(), &at("guide"))?);
@@ -445,6 +464,7 @@ impl HandlePatch {
             pose,
             falloff,
             targets,
+            tangential,
             guide,
         } = self;
         if let Some(region) = region {
@@ -458,6 +478,7 @@ impl HandlePatch {
         }
         handle.falloff = falloff.unwrap_or(handle.falloff);
         handle.targets = targets.unwrap_or(handle.targets);
+        handle.tangential = tangential.unwrap_or(handle.tangential);
         if let Some(guide) = guide {
             handle.guide = guide;
         }
@@ -481,6 +502,7 @@ mod tests {
             r#"{"component": {"index": 2}}"#,
             r#"{"primitive": {"index": 1}}"#,
             r#"{"weights": {"values": [0, 0.5, 1]}}"#,
+            r#"{"anchors": {"corners": [4, 2, 9], "weights": [0.25, 0.25, 0.5]}}"#,
         ];
         let handles = regions.iter().enumerate().map(|(k, region)| {
             let text = format!(r#"{{"id": "h{k}", "region": {region}}}"#);

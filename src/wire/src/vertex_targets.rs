@@ -12,6 +12,14 @@ const HEAVIEST: f32 = 1e6;
 /// # Errors
 /// [`Error::Invalid`] with the path of the value below `field`.
 pub(super) fn float_points(bytes: &[u8], field: &str) -> Result<Vec<[f32; 3]>, Error> {
+    float_points_from(bytes, field, 0)
+}
+
+/// The same of a part of a list that begins at an entry.
+///
+/// # Errors
+/// [`Error::Invalid`] with the path of the value below `field`, by its number in the whole list.
+pub(super) fn float_points_from(bytes: &[u8], field: &str, first: u32) -> Result<Vec<[f32; 3]>, Error> {
     let (places, rest) = bytes.as_chunks::<12>();
     if !rest.is_empty() {
         let problem = format!(
@@ -24,7 +32,7 @@ pub(super) fn float_points(bytes: &[u8], field: &str) -> Result<Vec<[f32; 3]>, E
         |bytes: &[u8; 12]| [0, 4, 8].map(|k| f32::from_le_bytes([bytes[k], bytes[k + 1], bytes[k + 2], bytes[k + 3]]));
     let places: Vec<[f32; 3]> = places.iter().map(place).collect();
     if let Some(k) = places.iter().flatten().position(|v| !v.is_finite()) {
-        let ([vertex, axis], value) = ([k / 3, k % 3], places[k / 3][k % 3]);
+        let ([vertex, axis], value) = ([first as usize + k / 3, k % 3], places[k / 3][k % 3]);
         let problem = format!("has {} = {value}, allowed are finite numbers", ["x", "y", "z"][axis]);
         return Err(Error::invalid(format!("{field}[{vertex}]"), problem));
     }
@@ -46,10 +54,11 @@ pub(super) fn vertex_targets(message: &pb::VertexTargets, field: &str) -> Result
         );
         return Err(Error::invalid(at("weights"), problem));
     }
-    if places.is_empty() && weights.is_empty() {
+    let normals = float_points(&message.normals, &at("normals"))?;
+    if places.is_empty() && weights.is_empty() && normals.is_empty() {
         return Err(Error::invalid(
             field,
-            "has neither positions nor weights; one of both is needed",
+            "has neither positions nor weights nor normals; one of them is needed",
         ));
     }
     let is_for_all = weights.len() == 1 && message.first.is_none();
@@ -57,11 +66,23 @@ pub(super) fn vertex_targets(message: &pb::VertexTargets, field: &str) -> Result
         let problem = format!("has {} entries, but positions has {}", weights.len(), places.len());
         return Err(Error::invalid(at("weights"), problem));
     }
+    let others = [
+        ("positions", places.len()),
+        ("weights", if is_for_all { 0 } else { weights.len() }),
+    ];
+    if let Some((name, count)) = others
+        .iter()
+        .find(|(_, n)| *n != 0 && !normals.is_empty() && *n != normals.len())
+    {
+        let problem = format!("has {} entries, but {name} has {count}", normals.len());
+        return Err(Error::invalid(at("normals"), problem));
+    }
     let number = |bytes: &[u8; 4]| f32::from_le_bytes(*bytes);
     let targets = VertexTargets {
         first: message.first,
         positions: places,
         weights: weights.iter().map(number).collect(),
+        normals,
     };
     if let Some(k) = targets.weights.iter().position(|w| !(0.0..=HEAVIEST).contains(w)) {
         let problem = format!("is {}, allowed are 0 to {HEAVIEST:e}", targets.weights[k]);
@@ -79,6 +100,7 @@ pub(super) fn vertex_targets_message(targets: &VertexTargets) -> pb::VertexTarge
     pb::VertexTargets {
         positions: bytes(&mut targets.positions.iter().flatten().copied()),
         weights: bytes(&mut targets.weights.iter().copied()),
+        normals: bytes(&mut targets.normals.iter().flatten().copied()),
         first: targets.first,
     }
 }
@@ -98,7 +120,7 @@ mod tests {
             let message = pb::VertexTargets {
                 positions,
                 weights,
-                first: None,
+                ..Default::default()
             };
             match vertex_targets(&message, "t") {
                 Err(Error::Invalid { field: f, .. }) => assert_eq!(f, field),
@@ -126,6 +148,7 @@ mod tests {
             first: Some(7),
             positions: vec![[1.5, -0.0, 3.0e38], [0.1, 0.2, 0.3]],
             weights: vec![0.0, 0.3],
+            normals: vec![[0.0, 0.0, 2.0], [0.0; 3]],
         };
         assert_eq!(
             vertex_targets(&vertex_targets_message(&targets), "t").as_ref(),

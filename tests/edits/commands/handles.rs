@@ -197,3 +197,27 @@ fn a_step_that_fails_says_what_edits_before_it_warned_of() {
         "{reported}"
     );
 }
+
+#[test]
+fn a_pose_that_the_first_edit_of_a_job_would_drop_is_refused() {
+    let run = |on: &str, edit: &str| {
+        let job = format!(
+            r#"{{"handles": [
+                {{"id": "base", "region": {{"halfSpace": {{"normal": [0, 0, -1], "offset": 1.5}}}}}},
+                {{"id": "top", "region": {{"halfSpace": {{"normal": [0, 0, 1], "offset": 1.5}}}}, "pose": {{"translation": [0, 0, 1]}}}}],
+              "steps": [{{"edit": {{{edit}, "on": "{on}"}}}}]}}"#
+        );
+        let job: pb::Job = pliant::wire::json::from_json(job.as_bytes()).expect("a job");
+        let limits = pliant::engine::DeformerLimits::default();
+        pliant::batch::run(obj(&bar()), &job, None, &limits, &Exec::new(&pool(2), &Silent), &|| 0.0)
+    };
+    let refused = run("CURRENT", r#""subdivide": {}"#).err().map(|e| e.to_string());
+    assert!(
+        refused
+            .as_deref()
+            .is_some_and(|e| e.starts_with("handles[1].pose: is given, but the first step is an edit")),
+        "{refused:?}"
+    );
+    run("REST", r#""subdivide": {}"#).expect("an edit of the rest pose keeps poses");
+    run("CURRENT", r#""subdivide": {"auto": true}"#).expect("it looks at the poses");
+}

@@ -121,6 +121,33 @@ async fn the_same_key_does_a_thing_once() {
     assert_eq!(manager.get(tenant(), &id).await.expect("open").revision, 4);
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn work_under_way_is_told_and_ends_with_the_call_that_is_given_up() {
+    let (manager, control) = manager(small());
+    let id = open(&manager).await;
+    let work = async || manager.get(tenant(), &id).await.expect("open").work;
+    assert_eq!(work().await, None);
+    control.hold();
+    let running = tokio::spawn({
+        let (manager, id) = (manager.clone(), id.clone());
+        async move { manager.set_handles(tenant(), &id, handles(&["a", "b"]), None).await }
+    });
+    control.held_up().await;
+    let seen = work().await.expect("handles are set");
+    assert_eq!(
+        (seen.kind.as_str(), seen.stage.as_str(), seen.fraction),
+        ("handles", "fields", 0.0)
+    );
+    assert!(seen.elapsed_ms >= 0.0);
+    running.abort();
+    until(|| manager.metrics().cancelled.get() == 1).await;
+    control.release();
+    assert_eq!(manager.get(tenant(), &id).await.expect("open").revision, 2);
+    let set = manager.set_handles(tenant(), &id, handles(&["a"]), None).await;
+    assert_eq!(set.expect("set").work, None, "answers of changes tell of no work");
+    assert_eq!(work().await, None);
+}
+
 #[tokio::test]
 async fn a_call_that_failed_or_was_given_up_frees_its_key() {
     let (fixture, control) = Fixture::fake(small()).await;

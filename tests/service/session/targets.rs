@@ -2,7 +2,7 @@
 
 use super::fake::*;
 use super::real::{bar_files, bent_in};
-use pliant::engine::{EditedShape, Handle, HandlePose, HandleSet, Region, VertexTargets};
+use pliant::engine::{Anchor, AnchorCorners, EditedShape, Handle, HandlePose, HandleSet, Region, VertexTargets};
 use pliant::session::store::StoreLocation;
 use pliant::session::{Manager, OpenDeformer, SessionConfig};
 use pliant::wire::{PoseCommit, SessionEdit, StreamRequest, pb, session_edit};
@@ -119,6 +119,52 @@ async fn parts_are_solved_once_and_commits_of_targets_undo_and_reopen_to_the_bit
     assert_eq!(fixture.digest().await, rest);
     fixture.redo().await;
     assert_eq!(fixture.digest().await, whole.digest);
+    close(manager).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn anchors_and_planes_reopen_to_the_bit() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let manager = manager_of(folder.path()).await;
+    let fixture = scanned(&manager).await;
+    let anchor = |face: u32| Anchor {
+        corners: AnchorCorners::Face(face),
+        weights: [0.2, 0.3, 0.5],
+    };
+    let marks = Region::Anchors((0..90).step_by(7).map(anchor).collect());
+    let plane = Handle {
+        tangential: 0.75,
+        ..Handle::with_targets("plane", Region::vertices(0..COUNT as u32), 0.5)
+    };
+    let marks = Handle::with_targets("marks", marks, 3.0);
+    let told = fixture.set_handles(HandleSet::from([marks, plane])).await;
+    assert_eq!(told.handles[0].vertices, 13);
+    let all = leaning();
+    let places: Vec<[f32; 3]> = all[..13].to_vec();
+    let across = VertexTargets::of(all).across(std::iter::repeat_n([0.1, 1.0, 0.2], COUNT));
+    let solved = fixture
+        .solve(PoseCommit {
+            seq: 1,
+            changes: vec![
+                ("marks".into(), targets(&places, None)),
+                ("plane".into(), HandlePose::targets(across)),
+            ],
+            options: stream_options(),
+        })
+        .await;
+    let (id, digest) = (fixture.id.clone(), solved.digest.clone());
+    drop(fixture);
+    close(manager).await;
+    let manager = manager_of(folder.path()).await;
+    let fixture = Fixture {
+        manager: manager.clone(),
+        id,
+    };
+    assert_eq!(fixture.digest().await, digest, "as it was stored");
+    fixture.undo().await;
+    assert_ne!(fixture.digest().await, digest);
+    fixture.redo().await;
+    assert_eq!(fixture.digest().await, digest);
     close(manager).await;
 }
 

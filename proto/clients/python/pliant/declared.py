@@ -82,15 +82,17 @@ class Declared:
         rigid: bool = False,
         falloff: tuple[float, Literal["none", "linear", "smooth"]] | None = None,
         targets: bool | Literal["vertex", "area"] = False,
+        tangential: float = 0.0,
         guide: Guide | None = None,
         **region: Unpack[RegionFields],
     ) -> None:
         """Adds a handle, or replaces the one of that id.
 
         The region is one of ``vertices``, ``half_space``, ``sphere``, ``box``, ``capsule``, ``tube``, ``component``,
-        ``primitive`` and ``weights``. Without a pose the handle is an anchor in the rest pose. Where regions overlap, the handle
+        ``primitive``, ``weights`` and ``anchors``. Without a pose the handle is an anchor in the rest pose. Where regions overlap, the handle
         that was added later wins. With ``targets`` every vertex has a target of its own, which :class:`pliant.Targets` in a pose
-        gives; the ``stiffness``, which it needs, is then per vertex or per area. With a ``guide``, a :class:`pliant.Curve`,
+        gives; the ``stiffness``, which it needs, is then per vertex or per area, and ``tangential`` from 0 to 1 leaves the pull along the
+        surface out, so that vertices slide in the planes of their targets. With a ``guide``, a :class:`pliant.Curve`,
         :class:`pliant.Lattice` or :class:`pliant.Cage`, its shape gives the targets: :class:`pliant.GuidePose` in a pose.
         """
         with about(f"handle {text('handle', id, 'an id, which is text,')!r}"):
@@ -102,6 +104,7 @@ class Declared:
                 rigid=rigid,
                 falloff=falloff,
                 targets=targets,
+                tangential=tangential,
                 guide=guide,
                 fields=region,
                 count=self.vertices,

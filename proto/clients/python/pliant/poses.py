@@ -83,6 +83,8 @@ class Targets:
     weights: npt.ArrayLike | None = None
     #: The first vertex of the handle that these are of; None: they are of all.
     first: int | None = None
+    #: n by 3, across the planes that vertices of a ``tangential`` handle are wanted in; 0, 0, 0 where one is wanted at its position.
+    normals: npt.ArrayLike | None = None
 
     def to_message(self, origin: Sequence[float] = ()) -> pb.HandlePose:
         """The targets as the schema carries them, for a session with such an origin."""
@@ -104,6 +106,10 @@ class Targets:
                 allowed = "(n,)" if count is None else f"({count},)"
                 raise ValueError(f"weights: an array of shape {weights.shape}, {allowed} is allowed")
             message.targets.weights = weights.tobytes()
+        if self.normals is not None:
+            message.targets.normals = float_points("normals", self.normals, ())
+            if count not in (None, len(message.targets.normals) // 12):
+                raise ValueError(f"normals: {len(message.targets.normals) // 12} of them, {count} are allowed, as there are positions")
         if self.first is not None:
             message.targets.first = self.first
         return message
@@ -195,7 +201,7 @@ def lay_on(poses: dict[str, pb.HandlePose], newer: Mapping[str, pb.HandlePose]) 
             poses[handle] = whole
             continue
         is_part = pose.targets.HasField("first") and not before.targets.HasField("first")
-        for name, size in (("positions", 12), ("weights", 4)):
+        for name, size in LISTS:
             old, new = getattr(before.targets, name), getattr(pose.targets, name)
             at = size * pose.targets.first
             if is_part and name == "weights" and len(old) <= 4:
@@ -215,7 +221,7 @@ def _joined(before: pb.VertexTargets, part: pb.VertexTargets, into: pb.VertexTar
     if not before.HasField("first") and before.positions:
         return True
     skipped = part.first - before.first
-    for name, size in (("positions", 12), ("weights", 4)):
+    for name, size in LISTS:
         old, new = getattr(before, name), getattr(part, name)
         if not old and not new:
             continue
@@ -232,6 +238,8 @@ def pose_message(by_handle: Mapping[str, pb.HandlePose], seq: int = 0) -> pb.Pos
     return pb.Pose(seq=seq, handles=listed)
 
 
+#: The lists of targets, and the bytes of a vertex in each.
+LISTS = (("positions", 12), ("weights", 4), ("normals", 12))
 #: Vertices whose targets travel in one message at most: 1 MiB of places.
 PART = (1 << 20) // 12
 
@@ -247,8 +255,8 @@ def commit_in_parts(request: pb.SolveRequest, key: str) -> list[pb.DeformRequest
 
     for entry in request.pose.handles:
         targets = entry.pose.targets
-        positions, weights = targets.positions, targets.weights
-        count = max(len(positions) // 12, len(weights) // 4)
+        positions, weights, normals = targets.positions, targets.weights, targets.normals
+        count = max(len(getattr(targets, name)) // size for name, size in LISTS)
         if count <= PART:
             last.handles.append(entry)
             continue
@@ -257,7 +265,7 @@ def commit_in_parts(request: pb.SolveRequest, key: str) -> list[pb.DeformRequest
             weights = b""
         for at in range(0, count, PART):
             end = at + PART
-            places, factors = positions[12 * at : 12 * end], weights[4 * at : 4 * end]
-            part(entry.id, pb.VertexTargets(positions=places, weights=factors, first=targets.first + at))
+            places, factors, across = positions[12 * at : 12 * end], weights[4 * at : 4 * end], normals[12 * at : 12 * end]
+            part(entry.id, pb.VertexTargets(positions=places, weights=factors, normals=across, first=targets.first + at))
     last.seq = len(messages)
     return [*messages, pb.DeformRequest(pose=last)]

@@ -18,12 +18,12 @@ ProgressLike: TypeAlias = Union[bool, Progress]
 class Meter(AbstractContextManager["Meter"]):
     """Reports what is done to a callable or a bar, when it is called."""
 
-    def __init__(self, wish: ProgressLike, what: str, *, bytes: bool = False) -> None:
+    def __init__(self, wish: ProgressLike, what: str, *, bytes: bool = False, unit: str = "pose") -> None:
         self._tell: Progress | None = wish if callable(wish) else None
         self._bar: Any = None
         self._stage = ""
         if wish is True:
-            kind = {"unit": "B", "unit_scale": True, "unit_divisor": 1024} if bytes else {"unit": "pose"}
+            kind = {"unit": "B", "unit_scale": True, "unit_divisor": 1024} if bytes else {"unit": unit}
             try:
                 from tqdm.auto import tqdm
             except ImportError:

@@ -43,10 +43,13 @@ class RegionFields(TypedDict, total=False):
     primitive: Union[int, Mapping[str, Any]]
     #: A weight for every render vertex, 0 to 1; those above 0 are in the region.
     weights: Union[Vector, Mapping[str, Any]]
+    #: Points of the surface, for targets: (triangles, barycentric weights n by 3), where triangles are n numbers, or n by 3
+    #: render vertices.
+    anchors: Union[tuple[Any, Any], Mapping[str, Any]]
 
 
 RegionLike: TypeAlias = Union[RegionFields, pb.Region]
-REGIONS = ("vertices", "half_space", "sphere", "box", "capsule", "tube", "component", "primitive", "weights")
+REGIONS = ("vertices", "half_space", "sphere", "box", "capsule", "tube", "component", "primitive", "weights", "anchors")
 
 
 def region(fields: RegionLike | Mapping[str, Any], count: int | None = None) -> pb.Region:
@@ -67,6 +70,8 @@ def region(fields: RegionLike | Mapping[str, Any], count: int | None = None) -> 
         return message
     if name == "vertices":
         return pb.Region(vertices=vertices(value, count))
+    if name == "anchors":
+        return pb.Region(anchors=anchors(value))
     if name == "component":
         return pb.Region(component=pb.Region.Part(index=whole(name, value)))
     if name == "primitive":
@@ -75,6 +80,22 @@ def region(fields: RegionLike | Mapping[str, Any], count: int | None = None) -> 
         values = line(name, array(name, value))
         return pb.Region(weights=pb.Region.Weights(values=values.astype(np.float32)))
     return _shape(name, value)
+
+
+def anchors(value: Any) -> pb.Region.Anchors:
+    """Points of the surface as the schema carries them."""
+    if not isinstance(value, (tuple, list)) or len(value) != 2:
+        raise ValueError(f"anchors: (triangles, weights) is allowed, or a dict of faces or corners and weights, not {seen(value)}")
+    corners, weights = array("anchors' triangles", value[0]), array("anchors' weights", value[1]).astype(np.float32)
+    if corners.dtype.kind not in "iu" or (corners.size and corners.min() < 0):
+        raise ValueError("anchors' triangles: whole numbers from 0 on are allowed")
+    if corners.ndim not in (1, 2) or corners.shape[1:] not in ((), (3,)):
+        raise ValueError(f"anchors' triangles have shape {corners.shape}, (anchors,) or (anchors, 3) is allowed")
+    if weights.shape != (len(corners), 3):
+        raise ValueError(f"anchors' weights have shape {weights.shape}, ({len(corners)}, 3) is allowed")
+    message = pb.Region.Anchors(weights=weights.ravel().tolist())
+    (message.faces if corners.ndim == 1 else message.corners).extend(corners.ravel().tolist())
+    return message
 
 
 def _shape(name: str, value: Any) -> pb.Region:
@@ -186,6 +207,7 @@ def handle(
     rigid: bool,
     falloff: tuple[float, str] | None,
     targets: bool | str,
+    tangential: float,
     guide: Guide | None = None,
     fields: RegionLike | Mapping[str, Any],
     count: int | None = None,
@@ -207,6 +229,7 @@ def handle(
     if targets is not False:
         per = "vertex" if targets is True else targets
         message.targets.stiffness_per = enum("targets", pb.Handle.Targets.StiffnessPer, per)
+        message.targets.tangential = number("tangential", tangential)
         message.targets.SetInParent()
     if guide is not None:
         message.guide.CopyFrom(guide_message(guide))

@@ -47,13 +47,21 @@ def request(
     if source is None:
         message.session = text("session", session)
     else:
-        message.model = _bytes(source)
+        message.model = _model("source", source)
     if shape is not None:
-        message.shape = _bytes(shape)
+        message.shape = _model("shape", shape)
     with about("landmarks"):
         for own in landmarks:
             landmark(message.landmarks.add(), own)
     return message
+
+
+def _model(name: str, given: ModelLike) -> bytes:
+    """The bytes of a model; none are none."""
+    data = _bytes(given)
+    if not data:
+        raise ValueError(f"{name}: it is empty; a file, or the bytes of one, is allowed")
+    return data
 
 
 def transferred(chunks: Sequence[pb.Chunk]) -> Transferred:

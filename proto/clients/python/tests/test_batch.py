@@ -143,10 +143,11 @@ def test_results_are_those_of_the_command_line(tmp_path: Path) -> None:
     ]
     posed = bend(5, expect={"flippedTriangles": 0, "maxDistance": 1})
     posed["handles"][1]["pose"] = posed.pop("steps")[0]["pose"]["handles"][0]["pose"]
-    for name, job in {"edited": twice, "posed": posed}.items():
+    wrapped = {"steps": [{"edit": {"wrap": {"file": "lid.ply"}}}]}
+    for name, job in {"edited": twice, "wrapped": wrapped, "posed": posed}.items():
         said = deform(tmp_path / "bar.ply", job, tmp_path)
-        # Once as a file, which may name others; once as a dict.
-        given = tmp_path / "job.json" if name == "edited" else job
+        # Some as a file, which may name others; one as a dict.
+        given = job if name == "posed" else tmp_path / "job.json"
         with ThreadPoolExecutor(1) as pool:
             made = pliant.batch.run([Job(name, tmp_path / "bar.ply", given)], executor=pool).report().check()[name]
         assert made.digest == said["digest"]

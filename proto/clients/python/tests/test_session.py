@@ -584,3 +584,55 @@ def test_targets_larger_than_a_message_are_committed_in_parts(
                     wrong[3, 1] = np.nan
                     session.solve({"scan": pliant.Targets(wrong, weights)})
         assert [c.kind for c in session.history()] == ["create", "handles", "pose", "pose", "pose", "pose"]
+
+
+def test_landmarks_inside_triangles_and_planes_lead_a_model(server: pliant.LocalServer, creature: Path) -> None:
+    with pliant.open(creature, server=server) as session:
+        rest, triangles = session.positions(), session.triangles()
+        session.handle("feet", half_space=((0, -1, 0), -0.14))
+        faces = np.arange(0, len(triangles), 97)
+        weights = np.tile([0.5, 0.25, 0.25], (len(faces), 1))
+
+        def places(of: np.ndarray) -> np.ndarray:
+            return np.einsum("fk,fkc->fc", weights, of[triangles[faces]])
+
+        session.handle("marks", anchors=(faces, weights), stiffness=50.0, targets=True)
+        wanted = places(rest) + 0.1 * np.sin(2 * places(rest)[:, [1]])
+        moved = session.solve({"marks": pliant.Targets(wanted)})
+        assert np.abs(places(moved) - wanted).max() < 0.3 * np.abs(wanted - places(rest)).max()
+        session.undo()
+        session.handle("marks", anchors=(triangles[faces], weights), stiffness=50.0, targets=True)
+        assert np.array_equal(session.solve({"marks": pliant.Targets(wanted)}), moved), "by their vertices"
+        with pytest.raises(ValueError, match="anchors' weights have shape"):
+            session.handle("wrong", anchors=(faces, weights[1:]), stiffness=1.0, targets=True)
+
+        session.handle("slide", vertices=np.arange(session.vertices), stiffness=1.0, targets=True, tangential=1.0)
+        across = np.tile([0.0, 0.0, 2.0], (session.vertices, 1))
+        along = session.solve({"slide": pliant.Targets(rest + np.array([5.0, -3.0, 0.0]), normals=across)})
+        assert np.abs(along - session.positions()).max() < 1e-6
+        assert np.abs(along[:, :2] - moved[:, :2]).max() < 0.5, "targets along the plane pull nothing"
+
+
+def test_work_of_an_edit_is_told_and_its_end_is_named(server: pliant.LocalServer, creature: Path) -> None:
+    class Told:
+        stages: list[str] = []
+        counts: list[tuple[int, int]] = []
+
+        def stage(self, what: str) -> None:
+            self.stages.append(what)
+
+        def __call__(self, done: int, total: int) -> None:
+            self.counts.append((done, total))
+
+    told = Told()
+    with pliant.open(creature, server=server) as session:
+        done = session.wrap(creature, progress=told)
+        assert done.wrap is not None and told.stages[0] == "edit"
+        assert "wrap" in told.stages, told.stages
+        assert all(0 <= done <= 100 and total == 100 for done, total in told.counts)
+        with pytest.raises(ValueError, match="shape: it is empty"):
+            session.transfer(creature, shape=b"")
+        session.edit(subdivide={})
+        with pliant.connect(server, timeout=0.3) as hasty:
+            with pytest.raises(pliant.DeadlineExceeded, match=r"Edit took longer than the 0.3 s"):
+                hasty.attach(session.id).wrap(creature)

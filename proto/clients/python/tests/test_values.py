@@ -241,6 +241,7 @@ REGIONS = [
     ({"component": 3}, {"component": {"index": 3}}),
     ({"primitive": 0}, {"primitive": {"index": 0}}),
     ({"weights": [0, 0.5, 1]}, {"weights": {"values": [0, 0.5, 1]}}),
+    ({"anchors": ([7], [(0.5, 0.25, 0.25)])}, {"anchors": {"faces": [7], "weights": [0.5, 0.25, 0.25]}}),
 ]
 SIZE = np.diag([1, 2, 3, 1])
 EDITS = [

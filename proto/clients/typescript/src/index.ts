@@ -12,7 +12,7 @@ export { Assembler, Frame, type FrameFacts, inModelSpace } from "./frames.js";
 export { targets, type VertexTargetsPose } from "./poses.js";
 export { regionFrom, regionOf, type PlainRegion, type Point, type RegionKinds, type RegionLike } from "./regions.js";
 export { nearestRotationVector, quaternionOf, turnsOf, type Quaternion, type Vector } from "./rotation.js";
-export { Session, type Carried, type CarriedModel, type Edit, type Format, type Handle, type HandleField, type PoseEntry, type RigOrder, type SetHandles, type SolveOptions, type Solved, type TransferOptions, type WrapOptions } from "./session.js";
+export { Session, type Carried, type CarriedModel, type Edit, type Format, type Handle, type HandleField, type PoseEntry, type RigOrder, type SetHandles, type SolveOptions, type Solved, type TransferOptions, type WorkOptions, type WrapOptions } from "./session.js";
 export { Stream, type StreamEvents, type StreamState, type StreamTotals } from "./stream.js";
 export type { Topology } from "./topology.js";
 export { Transport, type CallOptions, type Progress, type TransportOptions } from "./transport.js";

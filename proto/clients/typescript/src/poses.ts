@@ -17,9 +17,9 @@ const COUNTS: Readonly<Record<string, readonly number[]>> = {
 
 /**
  * The pose of a handle with targets: where its vertices are wanted, x, y, z of each in the order of the model's vertices, relative to
- * the session's `origin` as frames are, and factors of the stiffness, one for all or one for each. What is not given stays as before. With `first` they are of the vertices from that one of the handle on.
+ * the session's `origin` as frames are, and factors of the stiffness, one for all or one for each. What is not given stays as before. `normals` are across the planes that vertices of a `tangential` handle are wanted in. With `first` they are of the vertices from that one of the handle on.
  */
-export function targets(positions?: Float32Array, weights?: Float32Array, first?: number): VertexTargetsPose {
+export function targets(positions?: Float32Array, weights?: Float32Array, first?: number, normals?: Float32Array): VertexTargetsPose {
   if (positions !== undefined && positions.length % 3 !== 0) {
     throw new PliantError("INVALID_ARGUMENT", `targets: ${positions.length} numbers, 3 for each vertex are allowed`);
   }
@@ -27,12 +27,15 @@ export function targets(positions?: Float32Array, weights?: Float32Array, first?
   if (positions !== undefined && weights !== undefined && !forAll && 3 * weights.length !== positions.length) {
     throw new PliantError("INVALID_ARGUMENT", `targets: ${weights.length} weights, one for each of ${positions.length / 3} vertices is allowed`);
   }
-  return { targets: { positions: littleEndian(positions), weights: littleEndian(weights), first } };
+  if (normals !== undefined && (normals.length % 3 !== 0 || (positions !== undefined && positions.length !== normals.length))) {
+    throw new PliantError("INVALID_ARGUMENT", `targets: ${normals.length} numbers of normals, 3 for each vertex are allowed`);
+  }
+  return { targets: { positions: littleEndian(positions), weights: littleEndian(weights), first, normals: littleEndian(normals) } };
 }
 
 /** What `targets` makes. */
 export interface VertexTargetsPose {
-  targets: { positions: Uint8Array<ArrayBuffer>; weights: Uint8Array<ArrayBuffer>; first: number | undefined };
+  targets: { positions: Uint8Array<ArrayBuffer>; weights: Uint8Array<ArrayBuffer>; first: number | undefined; normals: Uint8Array<ArrayBuffer> };
 }
 
 /** 32-bit floats as the schema carries them. */

@@ -30,6 +30,8 @@ export interface RegionKinds {
   primitive: number;
   /** A number from 0 to 1 for every render vertex; those above 0 are in the region. */
   weights: ArrayLike<number>;
+  /** Points of the surface, for targets: `faces`, triangles by number, or `corners`, three render vertices each, and three weights each. */
+  anchors: { faces?: ArrayLike<number>; corners?: ArrayLike<number>; weights: ArrayLike<number> };
 }
 
 /** One entry of `T`, and none of the others. */
@@ -58,6 +60,10 @@ const WRITTEN: { readonly [K in keyof RegionKinds]: (value: RegionKinds[K]) => R
   component: (index) => written({ case: "component", value: { index } }),
   primitive: (index) => written({ case: "primitive", value: { index } }),
   weights: (values) => written({ case: "weights", value: { values: Array.from(values) } }),
+  anchors: ({ faces = [], corners = [], weights }) => {
+    const [f, c, w] = [faces, corners, weights].map((list) => Array.from(list)) as [number[], number[], number[]];
+    return written({ case: "anchors", value: { faces: f, corners: c, weights: w } });
+  },
 };
 
 const POINT = "three numbers";

@@ -1,7 +1,7 @@
 /** One open session: its handles, committed poses, edits, history and exports, and its stream. */
 
 import { create, type MessageInitShape } from "@bufbuild/protobuf";
-import type { CrossingsResponse, EditResult, HistoryResponse, MakeRigResponse, Quality, Session as Facts } from "./gen/pliant/v1/pliant_pb.js";
+import type { CrossingsResponse, EditResult, HistoryResponse, MakeRigResponse, Quality, Session as Facts, Work } from "./gen/pliant/v1/pliant_pb.js";
 import {
   CarryRequestSchema,
   CarryResponseSchema,
@@ -56,6 +56,15 @@ export type WrapOptions = Omit<MessageInitShape<typeof EditRequest_WrapSchema>, 
 
 /** How shapes come from another model. `shape`: that model in another shape. */
 export type TransferOptions = Omit<MessageInitShape<typeof TransferRequestSchema>, "source" | "sessionId" | "$typeName">;
+
+/** How a call is made whose work may take long. */
+export interface WorkOptions extends CallOptions {
+  /** Called some times a second with what the server works on, and how much of it is done. `signal` gives the call up. */
+  onWork?: (work: Work) => void;
+}
+
+/** Milliseconds between looks at how far the server is. */
+const GLANCE_MS = 250;
 
 /** Fields of a handle that can be cleared. */
 export type HandleField = "constrains" | "stiffness" | "rigid" | "pose" | "falloff";
@@ -199,11 +208,30 @@ export class Session {
   }
 
   /** Changes the topology. One commit. */
-  async edit(edit: Edit, call: CallOptions = {}): Promise<EditResult> {
+  async edit(edit: Edit, { onWork, ...call }: WorkOptions = {}): Promise<EditResult> {
     const json = jsonOf(EditRequestSchema, edit);
-    const result = await this.transport.message(EditResultSchema, "POST", this.path("/edits"), { ...call, json });
+    const answer = this.transport.message(EditResultSchema, "POST", this.path("/edits"), { ...call, json });
+    const result = await this.watching(answer, onWork);
     this.known = Math.max(this.known, Number(result.revision));
     return result;
+  }
+
+  /** Waits for a call, and reports how far the server is with it. */
+  private async watching<T>(answer: Promise<T>, onWork: WorkOptions["onWork"]): Promise<T> {
+    if (onWork === undefined) return answer;
+    let isOver = false;
+    const look = async (): Promise<void> => {
+      const { work } = await this.transport.probe(SessionSchema, this.path(""));
+      if (!isOver && work !== undefined) onWork(work);
+    };
+    // That nothing is known of it ends no call.
+    const glances = setInterval(() => void look().catch(() => undefined), GLANCE_MS);
+    try {
+      return await answer;
+    } finally {
+      isOver = true;
+      clearInterval(glances);
+    }
   }
 
   /**
@@ -228,7 +256,7 @@ export class Session {
    * Moves all vertices so that the surface lies on that of a model file, or of another session: topology, texture coordinates, rig and
    * morph targets follow. One commit. `wrap` of the result says how well it lies.
    */
-  wrap(target: Uint8Array | { session: string }, options: WrapOptions = {}, call: CallOptions = {}): Promise<EditResult> {
+  wrap(target: Uint8Array | { session: string }, options: WrapOptions = {}, call: WorkOptions = {}): Promise<EditResult> {
     const isFile = target instanceof Uint8Array;
     const source = isFile ? { case: "model" as const, value: target } : { case: "session" as const, value: target.session };
     return this.edit({ operation: { case: "wrap", value: { ...options, target: source } } }, call);
@@ -238,11 +266,11 @@ export class Session {
    * The model with the blend shapes of another one, a file or another session, as a GLB; with `shape`, that model in another shape, the
    * model in the shape that it takes on by it. Nothing changes.
    */
-  transfer(source: Uint8Array | { session: string }, options: TransferOptions = {}, call: CallOptions = {}): Promise<Blob> {
+  transfer(source: Uint8Array | { session: string }, options: TransferOptions = {}, { onWork, ...call }: WorkOptions = {}): Promise<Blob> {
     const isFile = source instanceof Uint8Array;
     const from = isFile ? { case: "model" as const, value: source } : { case: "session" as const, value: source.session };
     const json = jsonOf(TransferRequestSchema, { ...options, source: from });
-    return this.transport.read("POST", this.path("/transfer"), "*/*", { ...call, json }, blobOf);
+    return this.watching(this.transport.read("POST", this.path("/transfer"), "*/*", { ...call, json }, blobOf), onWork);
   }
 
   /**

@@ -18,6 +18,8 @@ use std::sync::Arc;
 
 /// Places given in single precision are warned of where its steps are a larger share of the diagonal.
 const COARSE_STEPS: f64 = 1e-5;
+/// A triangle this flat, by its height over its longest side, has no area.
+const FLAT: f64 = 1e-7;
 
 /// What an edit works on.
 #[derive(Debug, Clone)]
@@ -111,6 +113,31 @@ impl Deformer {
             );
             DeformerWarning::new("places-rounded", message, "")
         })
+    }
+
+    /// What is said of a shape that is given with triangles without area, which have some in the rest shape.
+    pub(super) fn flat_warning(&self, seen: &ShapeToEdit, is_given: bool) -> Option<DeformerWarning> {
+        if !is_given {
+            return None;
+        }
+        let mesh = self.mesh();
+        let now = mesh.welded(&seen.shape.positions);
+        let is_flat = |at: &[DVec3], triangle: &[u32; 3]| {
+            let [a, b, c] = triangle.map(|v| at[v as usize]);
+            let longest = (b - a).length().max((c - a).length()).max((c - b).length());
+            (b - a).cross(c - a).length() <= FLAT * longest * longest
+        };
+        let flat = mesh.triangles.iter().enumerate();
+        let flat = flat.filter(|(_, triangle)| is_flat(&now, triangle) && !is_flat(&mesh.positions, triangle));
+        let flat: Vec<u32> = flat.map(|(k, _)| mesh.source_triangle[k]).collect();
+        let first = flat.first()?;
+        let message = format!(
+            "{} of {} triangles of the shape have no area, such as triangle {first}, and have some in the shape before: what is solved \
+             from here on is bad there",
+            flat.len(),
+            mesh.triangles.len()
+        );
+        Some(DeformerWarning::new("triangles-flat", message, ""))
     }
 
     /// Puts what rides along where the surface of these positions takes it.

@@ -6,8 +6,9 @@
 use crate::deform::Transform;
 use crate::edit::{CutPlane, KeptSide, PatchedSurface, SubdivisionScheme, SurfacePatch};
 use crate::engine::facts::{DeformerWarning, MeshCounts, WarningPlace};
-use crate::engine::handle::{Handle, HandlePose, HandlePoses, HandleSet, Plane, Region, Stiff, VertexRange};
+use crate::engine::handle::{Handle, HandlePose, HandlePoses, HandleSet, Stiff};
 use crate::engine::other_model::OtherModel;
+use crate::engine::region::{Anchor, AnchorCorners, Plane, Region, VertexRange};
 use crate::engine::settings::SolveSettings;
 use crate::engine::shape::ModelShape;
 use crate::engine::wrap::{WrapCommand, WrapReport};
@@ -429,6 +430,7 @@ pub(super) fn carry_handles(
     for (k, handle) in old.handles.iter().enumerate() {
         let region = match &handle.region {
             Region::Weights(values) => carry_weights(values, applied, patch),
+            Region::Anchors(anchors) if handle.targets.is_some() => carry_anchors(anchors, applied),
             solid if solid.is_solid() && held.moved.is_none() => Some(solid.clone()),
             // It holds nodes inside alone, so there are no vertices to list.
             solid if solid.is_solid() && !held.vertices[k].contains(&true) => Some(
@@ -547,6 +549,22 @@ fn carry_vertices(marks: &[bool], applied: &PatchedSurface, patch: &SurfacePatch
         indices: Vec::new(),
         ranges,
     })
+}
+
+/// The anchors that have all their corners left.
+fn carry_anchors(anchors: &[Anchor], applied: &PatchedSurface) -> Option<Region> {
+    let carried = |anchor: &Anchor| {
+        let AnchorCorners::Vertices(corners) = anchor.corners else {
+            return None;
+        };
+        let corners = corners.map(|v| applied.vertex_from_old.get(v as usize).copied().unwrap_or(NONE));
+        (!corners.contains(&NONE)).then_some(Anchor {
+            corners: AnchorCorners::Vertices(corners),
+            ..*anchor
+        })
+    };
+    let left: Vec<Anchor> = anchors.iter().filter_map(carried).collect();
+    (!left.is_empty()).then_some(Region::Anchors(left))
 }
 
 fn carry_weights(values: &[f32], applied: &PatchedSurface, patch: &SurfacePatch) -> Option<Region> {

@@ -7,11 +7,11 @@ use super::edit_command::{
 };
 use super::edit_surface::EditSurface;
 use super::error::Error;
-use super::handle::Region;
 use super::model_topology::ModelTopology;
 use super::other_model::OtherModel;
 use super::part_families::VertexOrigins;
 use super::quality::{HandleBend, plan_division};
+use super::region::Region;
 use super::region_context::{RegionContext, vertices_in_region};
 use super::seams::Seams;
 use super::shape::Shading;

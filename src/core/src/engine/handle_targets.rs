@@ -1,11 +1,12 @@
 //! Targets in the poses of the handles in force: checked, laid on those before, and turned into what holds are to do.
 
+use super::derived_structures::DerivedStructures;
 use super::error::Error;
 use super::handle::HandlePose;
 use super::resolved_handles::ResolvedHandles;
-use super::target_vertices::{Pulls, no_guide};
+use super::target_vertices::{WantedPlaces, no_guide};
 use super::vertex_targets::VertexTargets;
-use crate::deform::{DeformableBody, HandleConstraint, HoldTargets};
+use crate::deform::{HandleConstraint, HoldTargets};
 use crate::exec::Exec;
 use glam::DVec3;
 use std::sync::Arc;
@@ -47,7 +48,7 @@ impl ResolvedHandles {
             && targets.has_one_weight()
         {
             let weight = targets.weights[0];
-            Arc::make_mut(targets).weights.resize(points.vertices.len(), weight);
+            Arc::make_mut(targets).weights.resize(points.count() as usize, weight);
         }
         let (targets, points) = match (&pose.targets, &self.targets[handle]) {
             (None, None) => return Ok(pose),
@@ -62,10 +63,13 @@ impl ResolvedHandles {
             (None, Some(_)) => return Ok(pose),
             (Some(targets), Some(points)) => (targets, points),
         };
-        let count = points.vertices.len();
+        let before = before.and_then(|pose| pose.targets.as_deref());
+        points.check_normals(targets, before, id, field)?;
+        let count = points.count() as usize;
         for (name, seen) in [
             ("positions", targets.positions.len()),
             ("weights", targets.weights.len()),
+            ("normals", targets.normals.len()),
         ] {
             let fits = match targets.first {
                 None => seen == count,
@@ -75,20 +79,22 @@ impl ResolvedHandles {
                 let from = targets
                     .first
                     .map_or_else(String::new, |first| format!(" from {first} on"));
-                let problem = format!("has {seen} entries{from}, but handle \"{id}\" has {count} vertices");
+                let what = points.what();
+                let problem = format!("has {seen} entries{from}, but handle \"{id}\" has {count} {what}");
                 return Err(Error::invalid(format!("{field}.targets.{name}"), problem));
             }
         }
         let rest: Vec<[f32; 3]> = match targets.first {
             None => Vec::new(),
             Some(_) => {
-                let place = |v: &u32| (rest[*v as usize] - points.origin).as_vec3().to_array();
-                points.vertices.iter().map(place).collect()
+                let place = |place: DVec3| (place - points.origin).as_vec3().to_array();
+                points.rest_places(rest).map(place).collect()
             }
         };
-        let before = before.and_then(|pose| pose.targets.as_deref());
         let is_whole = targets.first.is_none() && !targets.positions.is_empty();
-        if is_whole && (!targets.weights.is_empty() || before.is_none_or(|b| b.weights.is_empty())) {
+        let has_weights = !targets.weights.is_empty() || before.is_none_or(|b| b.weights.is_empty());
+        let has_normals = !targets.normals.is_empty() || before.is_none_or(|b| b.normals.is_empty());
+        if is_whole && has_weights && has_normals {
             return Ok(pose);
         }
         let whole = targets.on_top_of(before, &rest);
@@ -103,18 +109,22 @@ impl ResolvedHandles {
         &self,
         poses: &[HandlePose],
         holds: &[HandleConstraint],
-        body: &DeformableBody,
-        rest: &[DVec3],
+        derived: &DerivedStructures,
         exec: &Exec<'_>,
     ) -> Vec<HoldTargets> {
+        let rest = &derived.topology().rest;
         let none = VertexTargets::default();
         let with_points = self.targets.iter().enumerate().zip(poses);
         let some = with_points.filter_map(|((hold, points), pose)| {
             let targets = pose.targets.as_deref().unwrap_or(&none);
             let points = points.as_ref()?;
             let led = points.led(pose, exec);
-            let Pulls { places, weights } = points.pulls(&holds[hold], body, rest, targets, led.as_deref());
-            Some(HoldTargets { hold, places, weights })
+            let wanted = WantedPlaces {
+                targets,
+                led: led.as_deref(),
+                rest,
+            };
+            Some(points.pulls(hold, &holds[hold], derived, &wanted))
         });
         some.collect()
     }

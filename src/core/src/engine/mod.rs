@@ -48,6 +48,7 @@ mod model_topology;
 mod other_model;
 mod part_families;
 mod quality;
+mod region;
 mod region_context;
 mod resolved_handles;
 mod riding;
@@ -87,10 +88,11 @@ pub use facts::{
 };
 pub use handle::{
     DefaultPivot, Falloff, FalloffCurve, Handle, HandleConstrains, HandlePose, HandlePoses, HandleRotation,
-    HandleScale, HandleSet, Plane, Region, Stiff, VertexRange,
+    HandleScale, HandleSet, Stiff,
 };
 pub use other_model::OtherModel;
 pub use quality::FrameQuality;
+pub use region::{Anchor, AnchorCorners, Plane, Region, VertexRange};
 pub use riding::CarriedNode;
 pub use riding_file::RidingFile;
 pub use settings::{

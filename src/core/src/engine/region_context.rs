@@ -1,7 +1,7 @@
 //! Which vertices and which graph nodes a region holds.
 
 use super::error::Error;
-use super::handle::{Region, VertexRange};
+use super::region::{Anchor, AnchorCorners, Region, VertexRange};
 use super::tube_region::Tube;
 use crate::asset::Primitive;
 use crate::exec::Exec;
@@ -277,6 +277,14 @@ fn membership<'a>(context: &RegionContext<'_>, region: &'a Region) -> Result<Mem
             marks.iter_mut().skip(first).take(count).for_each(|m| *m = true);
             Membership::Listed(marks)
         }
+        Region::Anchors(anchors) => {
+            let mut marks = vec![false; context.positions.len()];
+            for (k, anchor) in anchors.iter().enumerate() {
+                let corners = anchor_corners(context, anchor, k)?;
+                corners.iter().for_each(|v| marks[*v as usize] = true);
+            }
+            Membership::Listed(marks)
+        }
         Region::Weights(values) => {
             require_weights(values, context.positions.len())?;
             Membership::Weighted(values)
@@ -292,6 +300,37 @@ fn membership<'a>(context: &RegionContext<'_>, region: &'a Region) -> Result<Mem
         }
         Region::Tube { points, radius } => Membership::Tube(Tube::cut_pieces(points, *radius)?),
     })
+}
+
+/// The render vertices around an anchor, the `number`th of a region; each is in a face.
+///
+/// # Errors
+/// When there are none such.
+pub(super) fn anchor_corners(context: &RegionContext<'_>, anchor: &Anchor, number: usize) -> Result<[u32; 3], Error> {
+    let mesh = context.mesh;
+    match anchor.corners {
+        AnchorCorners::Face(face) => match mesh.source_triangle.binary_search(&face) {
+            Ok(at) => Ok(mesh.triangles[at].map(|v| mesh.render_vertices_of(v)[0])),
+            Err(_) => {
+                let field = || format!(".anchors.faces[{number}]");
+                let count = (context.primitives.iter()).map(|p| p.index_count as usize / 3).sum();
+                require_number(face, count, field, "triangles")?;
+                let problem = format!("is {face}, a triangle that is not solved: of a passenger, or one without area");
+                Err(Error::invalid(field(), problem))
+            }
+        },
+        AnchorCorners::Vertices(corners) => {
+            for (k, corner) in corners.into_iter().enumerate() {
+                let field = || format!(".anchors.corners[{}]", 3 * number + k);
+                require_number(corner, context.positions.len(), field, "render vertices")?;
+                if mesh.solver_from_render[corner as usize] == NONE {
+                    let problem = format!("is {corner}, a vertex that is in no solved triangle");
+                    return Err(Error::invalid(field(), problem));
+                }
+            }
+            Ok(corners)
+        }
+    }
 }
 
 fn require_number(index: u32, count: usize, field: impl Fn() -> String, what: &str) -> Result<(), Error> {

@@ -2,7 +2,8 @@
 
 use super::error::Error;
 use super::facts::DeformerWarning;
-use super::handle::{Falloff, FalloffCurve, Handle, HandlePose, HandleSet, Region};
+use super::handle::{Falloff, FalloffCurve, Handle, HandlePose, HandleSet};
+use super::region::Region;
 use super::region_context::{
     MirrorPlane, RegionContext, RegionNodes, holds_nothing, nodes_in_region, region_centroid, vertices_in_region,
     vertices_of_handle,
@@ -57,7 +58,7 @@ pub(super) struct ResolvedHandles {
 pub(super) fn resolve_handles(
     context: &RegionContext<'_>,
     body: &DeformableBody,
-    set: HandleSet,
+    mut set: HandleSet,
     policy: FreePartPolicy,
     admit: &HeldBytesAdmission<'_>,
 ) -> Result<(ResolvedHandles, HandleSetup), Error> {
@@ -85,7 +86,10 @@ pub(super) fn resolve_handles(
         (resolved.centroids).push(region_centroid(context, graph, &vertices, &held.nodes));
         let at = format!("handles[{k}]");
         let mut hold = hold_nodes(body, handle, held, &at, context.exec)?;
-        let mut targets = (handle.targets).map(|per| TargetVertices::of(context, &vertices, per, &mut hold.pulls));
+        let targets = handle
+            .targets
+            .map(|_| TargetVertices::of(context, &vertices, handle, &mut hold.pulls));
+        let mut targets = targets.transpose().map_err(in_region)?;
         if let Some(targets) = &mut targets {
             let admit_guide = |bytes| admit(held_bytes + bytes);
             targets.bind_guide(handle, context.positions, &at, &admit_guide, context.exec)?;
@@ -127,8 +131,11 @@ pub(super) fn resolve_handles(
     unreferenced.reverse();
     resolved.unreferenced = unreferenced;
     resolved.counts = count_held(context, body, &holds, set.handles.len(), &frozen);
-    for (count, targets) in resolved.counts.iter_mut().zip(&resolved.targets) {
-        count.vertices = targets.as_ref().map_or(count.vertices, TargetVertices::count);
+    let with_targets = resolved.targets.iter().enumerate();
+    for (k, targets) in with_targets.filter_map(|(k, targets)| Some((k, targets.as_ref()?))) {
+        // By their corners anchors outlive an edit.
+        targets.name_corners(&mut set.handles[k].region);
+        resolved.counts[k].vertices = targets.count();
     }
     for (k, held) in resolved.counts.iter().enumerate() {
         if held.vertices + held.interior_nodes == 0 && !holds[k].nodes.is_empty() {

@@ -142,8 +142,7 @@ impl Deformer {
         };
         let frames = frames_of(derived, settings.gradients && mode != SolveMode::Commit, &limits, exec)?;
         let body = &derived.body;
-        let rest = &derived.topology().rest;
-        let targets = handles.hold_targets(&poses.0, &handle_system.setup().handles, body, rest, exec);
+        let targets = handles.hold_targets(&poses.0, &handle_system.setup().handles, derived, exec);
         handle_system.set_targets(body, &targets, state, exec)?;
         let mut found = None;
         if !free.is_empty() {

@@ -30,6 +30,10 @@ pub struct VertexTargets {
     /// What each of them weighs, 0 or more: a factor of the stiffness; of all vertices, one number is for each. Empty: as before, which is
     /// 1 to begin with.
     pub weights: Vec<f32>,
+    /// Across the planes that vertices of a handle with [`Handle::tangential`](super::Handle::tangential) are wanted in; of any length,
+    /// and of none where a vertex is wanted at its target. Empty: as before, which is those of the surface that the targets make to
+    /// begin with.
+    pub normals: Vec<[f32; 3]>,
 }
 
 impl VertexTargets {
@@ -48,6 +52,13 @@ impl VertexTargets {
         Self { weights, ..self }
     }
 
+    /// Adds normals.
+    #[must_use]
+    pub fn across(self, normals: impl IntoIterator<Item = [f32; 3]>) -> Self {
+        let normals = normals.into_iter().collect();
+        Self { normals, ..self }
+    }
+
     /// Whether the weights are one number, which is for all vertices of the handle.
     pub(super) fn has_one_weight(&self) -> bool {
         self.first.is_none() && self.weights.len() == 1
@@ -55,35 +66,40 @@ impl VertexTargets {
 
     /// Bytes held.
     pub fn byte_size(&self) -> usize {
-        size_of::<Self>() + size_of_val(&self.positions[..]) + size_of_val(&self.weights[..])
+        let lists = size_of_val(&self.positions[..]) + size_of_val(&self.weights[..]) + size_of_val(&self.normals[..]);
+        size_of::<Self>() + lists
     }
 
     /// These on top of `before`, for all vertices of a handle, whose rest positions are given.
     pub(super) fn on_top_of(&self, before: Option<&Self>, rest: &[[f32; 3]]) -> Self {
-        let laid = |all: Vec<_>, change: &[_]| replaced(all, change, self.first);
-        let positions = match (&self.positions[..], before) {
-            ([], before) => before.map_or_else(Vec::new, |b| b.positions.clone()),
-            (change, _) if self.first.is_none() => change.to_vec(),
-            (change, Some(b)) if !b.positions.is_empty() => laid(b.positions.clone(), change),
-            (change, _) => laid(rest.to_vec(), change),
-        };
-        let weights = match (&self.weights[..], before) {
-            ([], before) => before.map_or_else(Vec::new, |b| b.weights.clone()),
-            (change, _) if self.first.is_none() => change.to_vec(),
-            (change, Some(b)) if !b.weights.is_empty() => replaced(b.weights.clone(), change, self.first),
-            (change, _) => replaced(vec![1.0; rest.len()], change, self.first),
-        };
+        let (first, count) = (self.first, rest.len());
         Self {
             first: None,
-            positions,
-            weights,
+            positions: laid(before.map(|b| &b.positions), &self.positions, first, || rest.to_vec()),
+            weights: laid(before.map(|b| &b.weights), &self.weights, first, || vec![1.0; count]),
+            // Without a normal a vertex is wanted at its target.
+            normals: laid(before.map(|b| &b.normals), &self.normals, first, || {
+                vec![[0.0; 3]; count]
+            }),
         }
     }
 }
 
-/// `all` with `change` from a place on, which is within.
-fn replaced<T: Copy>(mut all: Vec<T>, change: &[T], first: Option<u32>) -> Vec<T> {
-    let first = first.unwrap_or(0) as usize;
-    all[first..first + change.len()].copy_from_slice(change);
-    all
+/// A list with `change` on top: all of it, or from a place on, which is within.
+fn laid<T: Copy>(
+    before: Option<&Vec<T>>,
+    change: &[T],
+    first: Option<u32>,
+    to_begin_with: impl FnOnce() -> Vec<T>,
+) -> Vec<T> {
+    let before = before.filter(|list| !list.is_empty());
+    match first {
+        _ if change.is_empty() => before.cloned().unwrap_or_default(),
+        None => change.to_vec(),
+        Some(first) => {
+            let mut all = before.cloned().unwrap_or_else(to_begin_with);
+            all[first as usize..first as usize + change.len()].copy_from_slice(change);
+            all
+        }
+    }
 }

@@ -239,3 +239,32 @@ fn a_shape_far_from_the_origin_of_its_session_is_warned_of() {
     assert!(!codes(10.0).contains(&"places-rounded".to_owned()));
     assert!(codes(5e6).contains(&"places-rounded".to_owned()));
 }
+
+#[test]
+fn a_shape_with_flat_triangles_is_adopted_and_told() {
+    let pool = Pool::new(1).expect("a thread");
+    let exec = Exec::new(&pool, &Silent);
+    let mut deformer = opened(0.0, &exec);
+    let (poses, rest) = (deformer.initial_poses(), deformer.rest_shape());
+    let mut given = in_frame(&deformer, &rest.positions);
+    let told = |done: &EditOutcome| {
+        let flat = done.report.warnings.iter().filter(|w| w.code == "triangles-flat");
+        flat.map(|w| w.message.clone()).collect::<Vec<_>>()
+    };
+    let bent = adopt(
+        &mut deformer,
+        wavy(&given),
+        (EditedShape::Current, &poses, &rest),
+        &exec,
+    )
+    .expect("adopted");
+    assert!(told(&bent).is_empty());
+    let (poses, shape) = (deformer.initial_poses(), bent.shape);
+    // Everything above the middle on one line.
+    given
+        .iter_mut()
+        .filter(|p| p[2] > 2.0)
+        .for_each(|p| (p[0], p[1]) = (0.0, 0.0));
+    let flat = adopt(&mut deformer, given, (EditedShape::Current, &poses, &shape), &exec).expect("adopted");
+    assert_eq!(told(&flat).len(), 1, "{:?}", flat.report.warnings);
+}

@@ -16,6 +16,7 @@ mod passengers;
 mod skinning;
 mod splat_models;
 mod splats;
+mod surface_points;
 mod transfer;
 mod vertex_targets;
 mod wrap;

@@ -219,6 +219,46 @@ fn a_skin_and_its_clips_stay_and_moves_are_those_of_the_rest_pose() {
 }
 
 #[test]
+fn clips_of_one_name_stay_apart_and_shapes_that_move_nothing_are_told() {
+    let figure = || FileSet::single("figure.glb", sample::figure_glb().to_vec());
+    let model = read(figure());
+    let clips = |model: &Model| model.moving_scene().expect("read").expect("a scene").clip_names;
+    let name = clips(&model).first().expect("a clip").clone();
+    let shape = |name: &str, by: f32| BlendShape {
+        name: name.into(),
+        moves: vec![Vec3::new(0.0, by, 0.0); model.positions.len()],
+        weight: 0.0,
+    };
+    let clip = |name: &str| BlendClip {
+        name: name.into(),
+        times: vec![0.0, 1.0],
+        interpolation: ChannelInterpolation::Linear,
+        weights: vec![(0, vec![0.0, 1.0])],
+    };
+    let all = BlendShapes {
+        shapes: vec![shape("up", 0.1), shape("still", 0.0)],
+        clips: vec![clip(&name), clip("own")],
+        ..BlendShapes::default()
+    };
+    let source = model.write_blend_shapes(&all).expect("a GLB").into_files("source.glb");
+    let came = transfer(figure(), source, None).expect("shapes");
+    let told: Vec<_> = came
+        .files
+        .warnings
+        .iter()
+        .filter(|w| w.code == "shapes-move-nothing")
+        .collect();
+    assert!(
+        told.len() == 1 && told[0].message.contains("1 of 2") && told[0].message.contains("\"still\""),
+        "{told:?}"
+    );
+    let now = read(came.files.into_files("out.glb"));
+    let mut expected = clips(&model);
+    expected.extend([format!("{name} 2"), "own".to_owned()]);
+    assert_eq!(clips(&now), expected);
+}
+
+#[test]
 fn what_cannot_come_is_refused_by_its_field() {
     let (points, triangles) = shapes::icosphere(1.0, 3);
     let bare = || file_of(&(points.clone(), triangles.clone()));

@@ -185,7 +185,7 @@ fn a_drag_takes_new_targets_and_weights_without_new_handles() {
         let part = VertexTargets {
             first: Some(first as u32),
             positions: whole.positions[first..last].to_vec(),
-            weights: Vec::new(),
+            ..VertexTargets::default()
         };
         drag.solve([("scan", HandlePose::targets(part))], &exec)
             .expect("solved");

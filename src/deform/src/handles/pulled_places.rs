@@ -2,6 +2,7 @@
 
 use crate::body::DeformableBody;
 use crate::handles::ownership::{HandleSetup, NodeOwnership};
+use crate::handles::pulled_points::PulledPoint;
 use glam::DVec3;
 
 /// Where the nodes that a soft hold pulls are wanted.
@@ -9,8 +10,10 @@ use glam::DVec3;
 pub struct HoldTargets {
     /// The hold. It is soft, and constrains positions alone.
     pub hold: usize,
-    /// By pull of the hold: the place, model space.
+    /// By pull of the hold: the place, model space. Empty where `points` say it.
     pub places: Vec<DVec3>,
+    /// Points that are wanted somewhere in the place of the nodes themselves; empty = the nodes are.
+    pub points: Vec<PulledPoint>,
     /// By pull of the hold: its weight, 0 or more, in the place of the one in [`HandleConstraint::pulls`](super::HandleConstraint).
     pub weights: Vec<f64>,
 }
@@ -22,6 +25,10 @@ pub(crate) struct PulledPlaces {
     places: Vec<DVec3>,
     /// By hold, whether it has targets.
     has_targets: Vec<bool>,
+    /// By hold, whether it has points.
+    has_points: Vec<bool>,
+    /// The points of all holds, their weights times the stiffness.
+    points: Vec<PulledPoint>,
     /// By component of the graph, whether a pull wants it elsewhere than in the rest pose.
     moved: Vec<bool>,
 }
@@ -41,6 +48,9 @@ impl PulledPlaces {
             while pulls[*next].0 < node {
                 *next += 1;
             }
+            if !targets.points.is_empty() {
+                return DVec3::ZERO;
+            }
             let place = targets.places[*next];
             if place != body.graph.positions[node as usize] {
                 moved[body.graph.component[node as usize] as usize] = true;
@@ -49,9 +59,26 @@ impl PulledPlaces {
         };
         let places = position.soft.iter().map(&mut place).collect();
         let has_targets = of_hold.iter().map(Option::is_some).collect();
+        let has_points = |of: &Option<(&HoldTargets, usize)>| of.is_some_and(|(targets, _)| !targets.points.is_empty());
+        let has_points = of_hold.iter().map(has_points).collect();
+        let mut points = Vec::new();
+        for targets in all {
+            let stiffness = setup.handles[targets.hold].stiffness.unwrap_or(1.0);
+            let pulling = targets.points.iter().filter(|point| point.weight > 0.0);
+            points.extend(pulling.map(|point| PulledPoint {
+                weight: point.weight * stiffness,
+                ..*point
+            }));
+        }
+        for point in points.iter().filter(|point| point.place != point.at_rest(body)) {
+            let of_node = |node: &u32| body.graph.component[*node as usize] as usize;
+            point.nodes.iter().map(of_node).for_each(|part| moved[part] = true);
+        }
         Self {
             places,
             has_targets,
+            has_points,
+            points,
             moved,
         }
     }
@@ -62,6 +89,22 @@ impl PulledPlaces {
             Some(true) => Some(self.places[pull]),
             _ => None,
         }
+    }
+
+    /// Whether a hold wants points somewhere in the place of the nodes that it pulls: each pull is then to where its node is, and
+    /// [`Self::points`] say what is lacking.
+    pub fn has_points(&self, hold: u32) -> bool {
+        self.has_points.get(hold as usize) == Some(&true)
+    }
+
+    /// Whether any hold does.
+    pub fn has_any_points(&self) -> bool {
+        !self.points.is_empty()
+    }
+
+    /// All points, their weights times the stiffness of their holds.
+    pub fn points(&self) -> &[PulledPoint] {
+        &self.points
     }
 
     /// Whether a hold has targets.
@@ -75,6 +118,8 @@ impl PulledPlaces {
     }
 
     pub fn byte_size(&self) -> usize {
-        self.places.capacity() * size_of::<DVec3>() + self.has_targets.capacity() + self.moved.capacity()
+        let holds = self.has_targets.capacity() + self.has_points.capacity();
+        let points = self.points.capacity() * size_of::<PulledPoint>();
+        self.places.capacity() * size_of::<DVec3>() + points + holds + self.moved.capacity()
     }
 }

@@ -13,6 +13,7 @@ use crate::handles::ownership::UNHELD;
 use crate::handles::system::HandleSystem;
 use crate::pose::{FirstPass, SolutionExtent, SolveStart, SolveUpdate, SolvedNodes};
 use crate::rotation::Transform;
+use crate::second_pass::equations::ScatteredPose;
 use crate::second_pass::state::{DragRows, NO_NODE, SolveState};
 use crate::solve::{PoseSolve, SolveTally};
 use glam::{DVec3, Mat3};
@@ -182,7 +183,14 @@ pub(super) fn fill_scattered(
     pose.more.resize(rows.len(), Lanes::ZERO);
     let frame = |node: usize| Mat3::from_cols_array(&rows[row_of[node] as usize].map()).as_dmat3();
     let more = &mut pose.more;
-    handles.add_scattered(body, transforms, center, frame, &mut |node, by| {
+    let at = |node: usize| DVec3::from_slice(&pose.x[row_of[node] as usize][..3]);
+    let scattered = ScatteredPose {
+        transforms,
+        center,
+        frame,
+        at,
+    };
+    handles.add_scattered(body, &scattered, &mut |node, by| {
         let row = &mut more[row_of[node] as usize].0;
         let by = by.as_vec3();
         (0..3).for_each(|c| row[c] += by[c]);

@@ -48,6 +48,16 @@ pub(crate) struct PosedHandles {
     pub precision: Precision,
 }
 
+/// What pulls and ties depend on.
+pub(crate) struct ScatteredPose<'a, F, P> {
+    pub transforms: &'a [Transform],
+    pub center: DVec3,
+    /// Returns the frame of a node.
+    pub frame: F,
+    /// Returns where a node is, in solving coordinates around the centre.
+    pub at: P,
+}
+
 impl HandleSystem {
     /// The equations of a pose (`transforms[k]` belongs to hold k), for those who want to solve or store them
     /// themselves. Rigid regions that nothing holds are taken as free, as in the first of their two solves.
@@ -55,7 +65,9 @@ impl HandleSystem {
         let frames = blend_frames_with(body, self, transforms, None, pool);
         let posed = self.pose_handles(body, transforms, frames, Precision::Double, pool);
         let mut rhs = vec![0.0; body.nodes() * 3];
-        self.assemble(body, &posed, transforms, &mut rhs, pool);
+        self.assemble(body, &posed, &mut rhs, pool);
+        let at_rest = |node: usize| posed.targets[node] - posed.center;
+        self.scatter(body, &posed, transforms, at_rest, &mut rhs);
         SecondPassEquations {
             rhs: rhs.as_chunks().0.to_vec(),
             given: posed.targets.iter().map(|p| (*p - posed.center).to_array()).collect(),
@@ -83,15 +95,8 @@ impl HandleSystem {
         }
     }
 
-    /// Fills `rhs` on the nodes that are not given, three numbers each.
-    pub(crate) fn assemble(
-        &self,
-        body: &DeformableBody,
-        posed: &PosedHandles,
-        transforms: &[Transform],
-        rhs: &mut [f64],
-        pool: &Pool,
-    ) {
+    /// Fills `rhs` on the nodes that are not given, three numbers each, but for what [`HandleSystem::scatter`] adds.
+    pub(crate) fn assemble(&self, body: &DeformableBody, posed: &PosedHandles, rhs: &mut [f64], pool: &Pool) {
         let given = self.given();
         match posed.precision {
             Precision::Single => fill_right_hand_side(body, &posed.frames, given, rhs, pool),
@@ -101,25 +106,44 @@ impl HandleSystem {
                     .for_each(|(i, rhs)| rhs.copy_from_slice(&right_hand_side(body, &posed.frames, i).to_array()));
             }),
         }
-        let mut add = |node: usize, by: DVec3| {
+    }
+
+    /// Adds to `rhs` what [`HandleSystem::add_scattered`] does; `at` returns where a node is, around the centre.
+    pub(crate) fn scatter(
+        &self,
+        body: &DeformableBody,
+        posed: &PosedHandles,
+        transforms: &[Transform],
+        at: impl Fn(usize) -> DVec3,
+        rhs: &mut [f64],
+    ) {
+        let pose = ScatteredPose {
+            transforms,
+            center: posed.center,
+            frame: |node: usize| linear(&posed.frames[node]),
+            at,
+        };
+        self.add_scattered(body, &pose, &mut |node: usize, by: DVec3| {
             let entries = rhs[3 * node..3 * node + 3].iter_mut().zip(by.to_array());
             entries.for_each(|(r, b)| *r += b);
-        };
-        let frame = |node: usize| linear(&posed.frames[node]);
-        self.add_scattered(body, transforms, posed.center, frame, &mut add);
+        });
     }
 
     /// What is added to right-hand sides at some nodes that are not given: offsets of ties, and pulls of soft handles around
-    /// the centre. `frame` returns a node's.
-    pub(crate) fn add_scattered(
+    /// the centre.
+    pub(crate) fn add_scattered<F: Fn(usize) -> DMat3, P: Fn(usize) -> DVec3>(
         &self,
         body: &DeformableBody,
-        transforms: &[Transform],
-        center: DVec3,
-        frame: impl Fn(usize) -> DMat3,
+        pose: &ScatteredPose<'_, F, P>,
         add: &mut dyn FnMut(usize, DVec3),
     ) {
-        let given = self.given();
+        let ScatteredPose {
+            transforms,
+            center,
+            frame,
+            at,
+        } = pose;
+        let (center, given) = (*center, self.given());
         let mut add = |node: usize, by: DVec3| {
             if !given[node] {
                 add(node, by);
@@ -132,6 +156,10 @@ impl HandleSystem {
         let maps: Vec<_> = transforms.iter().map(Transform::map).collect();
         for (pull, &(node, k, stiffness)) in self.position.soft.iter().enumerate() {
             let node = node as usize;
+            if self.places.has_points(k) {
+                add(node, at(node) * stiffness);
+                continue;
+            }
             let rest = body.graph.positions[node];
             let target = match (self.places.of_pull(pull, k), maps.get(k as usize)) {
                 (Some(place), _) => place,
@@ -139,6 +167,12 @@ impl HandleSystem {
                 (None, None) => rest,
             };
             add(node, (body.solving_from_model(target) - center) * stiffness);
+        }
+        for point in self.places.points() {
+            let way = body.solving_from_model(point.place) - center - point.now(at);
+            let lack = point.lack(way) * point.weight;
+            let corners = point.nodes.iter().zip(point.corners);
+            corners.for_each(|(&node, weight)| add(node as usize, lack * weight));
         }
     }
 

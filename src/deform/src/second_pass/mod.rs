@@ -4,6 +4,7 @@ mod borders;
 mod coarse_first;
 mod drag;
 pub(super) mod equations;
+pub(super) mod points;
 pub(super) mod refine;
 pub(super) mod single_precision;
 mod smoother;

@@ -21,7 +21,7 @@ use pliant_asset::FileSet;
 use pliant_wire::record::{FileReferences, LoggedCommit, RecordedModel};
 use pliant_wire::{SessionOptions, pb};
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
-use std::sync::{Arc, OnceLock, RwLock};
+use std::sync::{Arc, Mutex, OnceLock, RwLock};
 use std::time::{Duration, Instant};
 use tokio::sync::{Notify, mpsc};
 use tokio_util::sync::CancellationToken;
@@ -247,6 +247,7 @@ pub(crate) fn start_session(
         leave: AtomicBool::new(false),
         unloaded: AtomicBool::new(false),
         busy: AtomicBool::new(false),
+        work: Mutex::default(),
     });
     shared.registry.insert(Arc::clone(&session));
     shared.metrics.sessions.inc();

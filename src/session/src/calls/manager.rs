@@ -194,7 +194,7 @@ impl Manager {
     /// # Errors
     /// `NOT_FOUND`.
     pub async fn get(&self, tenant: &Tenant, id: &str) -> Result<pb::Session, Error> {
-        Ok(self.find(tenant, id).await?.describe())
+        Ok(self.find(tenant, id).await?.describe_with_work())
     }
 
     /// The handles in force.

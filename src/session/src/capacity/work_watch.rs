@@ -6,7 +6,7 @@ use pliant_exec::pool::Pool;
 use pliant_exec::progress::{CancelFlag, Progress, Silent};
 use pliant_exec::stage_clock::StageClock;
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tracing::Span;
 use tracing::field::Empty;
@@ -46,6 +46,8 @@ pub(crate) struct WorkWatch {
     /// What the work is counted against, and the bytes of it that something else holds.
     memory: Option<(Arc<MemoryReservation>, u64)>,
     stages: StageClock<'static>,
+    /// The newest report.
+    newest: Mutex<Option<(&'static str, f32)>>,
 }
 
 impl WorkWatch {
@@ -65,6 +67,7 @@ impl WorkWatch {
             deadline: arrived.checked_add(limit).unwrap_or(started + limit),
             memory: None,
             stages: StageClock::new(move || started.elapsed().as_secs_f64() * 1e3, &Silent),
+            newest: Mutex::default(),
         }
     }
 
@@ -97,6 +100,11 @@ impl WorkWatch {
         self.started.elapsed()
     }
 
+    /// The stage under way and how much of it is done, once there was a report.
+    pub fn newest_report(&self) -> Option<(&'static str, f32)> {
+        *self.newest.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// Milliseconds of every stage reported so far; the last one ends now.
     pub fn take_stage_ms(&self) -> BTreeMap<String, f64> {
         self.stages.take_stage_ms()
@@ -114,6 +122,7 @@ impl Progress for WorkWatch {
     }
 
     fn report(&self, stage: &'static str, fraction: f32) {
+        *self.newest.lock().unwrap_or_else(PoisonError::into_inner) = Some((stage, fraction));
         self.stages.report(stage, fraction);
     }
 }

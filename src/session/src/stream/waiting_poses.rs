@@ -73,7 +73,7 @@ pub(crate) fn stays_apart(pose: &WaitingPose) -> bool {
 }
 
 /// Takes from the drags that wait last what `newer` replaces: positions of all vertices of a handle, as many as before. Weights
-/// that it does not have stay.
+/// and normals that it does not have stay.
 pub(crate) fn drop_replaced(waiting: &mut VecDeque<WaitingPose>, newer: &WaitingPose) {
     let whole = |pose: &HandlePose| (pose.targets.clone()).filter(|t| t.first.is_none() && !t.positions.is_empty());
     for (id, pose) in &newer.entries {
@@ -88,16 +88,18 @@ pub(crate) fn drop_replaced(waiting: &mut VecDeque<WaitingPose>, newer: &Waiting
             let Some(old) = old.filter(|old| old.positions.len() == new.positions.len()) else {
                 break;
             };
-            if old.weights.is_empty() || !new.weights.is_empty() {
+            let has_weights = old.weights.is_empty() || !new.weights.is_empty();
+            let has_normals = old.normals.is_empty() || !new.normals.is_empty();
+            if has_weights && has_normals {
                 drop(drag.entries.remove(at));
                 continue;
             }
-            let weights = VertexTargets {
+            let left = VertexTargets {
                 positions: Vec::new(),
                 ..VertexTargets::clone(&old)
             };
             drag.entries[at].1 = Ok(HandlePose {
-                targets: Some(Arc::new(weights)),
+                targets: Some(Arc::new(left)),
                 ..HandlePose::default()
             });
         }

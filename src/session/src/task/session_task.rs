@@ -185,7 +185,8 @@ impl SessionTask {
     ) -> Result<(R, Arc<WorkWatch>), Error> {
         self.place.account().check_work()?;
         let owner = self.session.work_owner();
-        let span = WorkSpan::new(order.kind, &self.session.id, &order.call);
+        let kind = order.kind;
+        let span = WorkSpan::new(kind, &self.session.id, &order.call);
         let state = self.history.current();
         // After an edit, an undo or a failure the handles are set again before anything is solved.
         let lane = self.lane_with_handles(order.lane, state, &state.handles);
@@ -202,6 +203,7 @@ impl SessionTask {
         let watch = Arc::new(watch);
         let (inside, queued) = (Arc::clone(&watch), slot.queued);
         let begun = std::time::Instant::now();
+        *self.session.work() = Some((kind, Arc::clone(&watch)));
         let ran = slot.run(span, move |pool| {
             let here = Work {
                 pool,
@@ -212,6 +214,7 @@ impl SessionTask {
             (deformer, value)
         });
         let ran = ran.await;
+        *self.session.work() = None;
         self.place.account().charge_work(begun.elapsed());
         match ran {
             Ok((deformer, value)) => {

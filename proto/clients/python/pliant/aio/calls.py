@@ -99,7 +99,7 @@ class Calls:
             call = getattr(self._stub(), name)
             return await self.transport.one(call, request, metadata=metadata, timeout=self.settings.timeout)
 
-        return await self._repeat(attempt, patience)
+        return await self._repeat(self._in_time(attempt, name), patience)
 
     async def many(self, name: str, request: Any, *, keyed: bool = False) -> list[Any]:
         """A call whose answer comes in pieces."""
@@ -110,7 +110,7 @@ class Calls:
             call = getattr(self._stub(), name)(request, metadata=metadata, timeout=self.settings.timeout)
             return [piece async for piece in self.transport.answers(call)]
 
-        return await self._repeat(attempt)
+        return await self._repeat(self._in_time(attempt, name))
 
     async def create(self, upload: Upload, options: pb.CreateOptions, progress: Progress) -> pb.Session:
         """Uploads a model. The same upload is sent again where the connection was lost."""
@@ -124,7 +124,25 @@ class Calls:
             assert isinstance(session, pb.Session)
             return session
 
-        return await self._repeat(attempt)
+        return await self._repeat(self._in_time(attempt, "CreateSession"))
+
+    def _in_time(self, attempt: Callable[[], Awaitable[_T]], name: str) -> Callable[[], Awaitable[_T]]:
+        """The same try of a call; where its time is over, that is said, in whatever words gRPC ends it."""
+        timeout = self.settings.timeout
+
+        async def timed() -> _T:
+            begun = time.monotonic()
+            try:
+                return await attempt()
+            except grpc.RpcError:
+                if time.monotonic() - begun < timeout:
+                    raise
+                raise errors.DeadlineExceeded(
+                    f"{name} took longer than the {timeout:g} s that the client waits for a call, and was given up, "
+                    "and the server stops such work. timeout= of pliant.connect and pliant.open says how long"
+                ) from None
+
+        return timed
 
     async def commit(self, request: pb.SolveRequest) -> list[pb.Frame]:
         """A pose to solve and record, and the parts of its frame: by a call, or where that is too large for one message by a stream."""

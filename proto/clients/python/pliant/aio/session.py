@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import os
-from collections.abc import AsyncGenerator, AsyncIterable, AsyncIterator, Awaitable, Callable, Iterable, Mapping, Sequence
+from collections.abc import (
+    AsyncGenerator,
+    AsyncIterable,
+    AsyncIterator,
+    Awaitable,
+    Callable,
+    Coroutine,
+    Iterable,
+    Mapping,
+    Sequence,
+)
 from contextlib import aclosing, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Union
+from typing import Any, Literal, TypeVar, Union
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +39,11 @@ from ..v1 import pliant_pb2 as pb
 from .calls import Calls
 from .player import Animation
 from .stream import Stream
+
+_T = TypeVar("_T")
+
+#: Seconds between looks at how far the server is.
+_GLANCE = 0.25
 
 
 class Session(Declared):
@@ -256,17 +271,50 @@ class Session(Declared):
         answer: pb.MakeRigResponse = await self._calls.one("MakeRig", request)
         return answer
 
+    async def _watched(self, call: Coroutine[Any, Any, _T], progress: ProgressLike, what: str) -> _T:
+        """Waits for a call on the session, and reports how far the server is with it."""
+        if not progress:
+            return await call
+        transport, over = self._calls.transport, False
+        news = transport.news()
+
+        async def watch() -> None:
+            while True:
+                with news:
+                    if await transport.wait_for(news, lambda: over, _GLANCE):
+                        return
+                info = await self._calls.one("GetSession", self._named(), patience=0)
+                if info.HasField("work") and info.work.stage:
+                    tell.stage(info.work.stage)
+                    tell(round(100 * info.work.fraction), 100)
+
+        with Meter(progress, what, unit="%") as tell:
+            task = transport.task(watch(), f"pliant {what}")
+            try:
+                return await call
+            finally:
+                with news:
+                    over = True
+                    news.notify_all()
+                await transport.ended(task)
+
     async def edit(
-        self, *, on: Literal["current", "rest"] = "current", **operation: Unpack[edits.EditFields]
+        self,
+        *,
+        on: Literal["current", "rest"] = "current",
+        progress: ProgressLike = False,
+        **operation: Unpack[edits.EditFields],
     ) -> edits.EditResult:
         """Changes the topology: one of ``cut``, ``subdivide``, ``decimate``, ``delete``, ``fill``, ``remesh``, ``smooth``,
         ``merge``, ``wrap``, ``insert_curve``, ``weld``, ``clean`` and ``adopt``.
 
-        Afterwards ``vertices`` and ``info`` are new, and streams have to be opened again.
+        Afterwards ``vertices`` and ``info`` are new, and streams have to be opened again. `progress` is True for a bar, or is called
+        with percent done and 100; one that has a method ``stage`` gets the name of each stage.
         """
         request = edits.request(self.id, on, operation, self.vertices, self.info.origin)
         await self.apply()
-        done = edits.result(await self._calls.one("Edit", request, keyed=True))
+        call = self._calls.one("Edit", request, keyed=True)
+        done = edits.result(await self._watched(call, progress, "edit"))
         self._books.edited(await self._calls.one("GetSession", self._named()))
         return done
 
@@ -291,16 +339,18 @@ class Session(Declared):
         *,
         session: str = "",
         on: Literal["current", "rest"] = "current",
+        progress: ProgressLike = False,
         **settings: Any,
     ) -> edits.EditResult:
         """Moves all vertices so that the surface lies on that of `target`, a file or its bytes, or on the shape of another
         session; topology, texture coordinates, rig and morph targets follow. One commit. `settings` are those of
-        ``edit(wrap=...)``: ``landmarks``, ``mask``, ``in_place``, ``format``. ``wrap`` of the result says how well it lies.
+        ``edit(wrap=...)``: ``landmarks``, ``mask``, ``in_place``, ``format``. ``wrap`` of the result says how well it lies;
+        `progress` is as in :meth:`edit`.
         """
         if (target is None) == (not session):
             raise TypeError("wrap: a file or a session to wrap onto is needed, and only one of them")
         source: dict[str, Any] = {"session": session} if session else {"model": target}
-        return await self.edit(on=on, wrap={**source, **settings})  # type: ignore[typeddict-item]
+        return await self.edit(on=on, progress=progress, wrap={**source, **settings})  # type: ignore[typeddict-item]
 
     async def transfer(
         self,
@@ -313,15 +363,16 @@ class Session(Declared):
         format: str = "",
         shape_format: str = "",
         output: str = "",
+        progress: ProgressLike = False,
     ) -> transfers.Transferred:
         """The model with the blend shapes of `source`, a file or its bytes, or of another session; with `shape`, the source in
         another shape, the model in the shape that it takes on by it. Nothing changes.
 
-        `landmarks` are pairs (own, source) of vertex numbers or points (x, y, z).
+        `landmarks` are pairs (own, source) of vertex numbers or points (x, y, z); `progress` is as in :meth:`edit`.
         """
         formats = (format, shape_format, output)
         request = transfers.request(self.id, source, session, shape, landmarks, formats)
-        chunks = list(await self._calls.many("Transfer", request))
+        chunks = list(await self._watched(self._calls.many("Transfer", request), progress, "transfer"))
         model.warn_of(chunks)
         return transfers.transferred(chunks)
 

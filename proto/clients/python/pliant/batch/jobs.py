@@ -103,7 +103,7 @@ def task(job: Job, version: str) -> Task:
     if not format:
         untold = f"the model's bytes do not show which format to write; one of {', '.join(FORMATS)} is allowed"
         raise Unready("format", untold)
-    refused = refusal(message, format)
+    refused = refusal(message, format) or _dropped(message)
     if refused is not None:
         raise Unready(f"{_place(job)}: {refused[0]}", refused[1])
     bytes_of_job = message.SerializeToString(deterministic=True)
@@ -122,6 +122,18 @@ def task(job: Job, version: str) -> Task:
         bytes_of_job,
         format,
     )
+
+
+def _dropped(message: pb.Job) -> tuple[str, str] | None:
+    """A pose that a handle comes with and that the first step would drop, as ``pliant deform`` refuses it."""
+    if not message.steps or message.steps[0].WhichOneof("step") != "edit":
+        return None
+    edit = message.steps[0].edit
+    for k, handle in enumerate(message.handles):
+        moves = handle.HasField("pose") and handle.pose != pb.HandlePose()
+        if moves and edit.on == pb.EditRequest.On.CURRENT and not edit.subdivide.auto:
+            return f"handles[{k}].pose", "is given, but the first step is an edit, which would drop it"
+    return None
 
 
 def _digest(parts: Iterable[bytes]) -> str:
@@ -168,6 +180,8 @@ def _named_models(message: pb.Job) -> Iterator[tuple[str, Any]]:
     for k, step in enumerate(message.steps):
         if step.edit.merge.WhichOneof("source") == "file":
             yield f"steps[{k}].edit.merge.file", step.edit.merge
+        if step.edit.wrap.WhichOneof("target") == "file":
+            yield f"steps[{k}].edit.wrap.file", step.edit.wrap
     for k, passenger in enumerate(message.create.passengers):
         if passenger.file.WhichOneof("source") == "file":
             yield f"create.passengers[{k}].file.file", passenger.file

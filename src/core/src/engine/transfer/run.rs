@@ -134,8 +134,26 @@ impl Deformer {
     }
 }
 
-/// Files with what is to be said of how the source lies on the model.
+/// Files with what is to be said of how the source lies on the model, and of shapes that move nothing of it.
 fn with_warnings(mut files: WrittenFiles, told: &TransferReport) -> WrittenFiles {
+    let still = told.shapes.iter().filter(|shape| shape.moved_vertices == 0);
+    let still: Vec<&str> = still.map(|shape| shape.name.as_str()).collect();
+    if !still.is_empty() {
+        let named: Vec<String> = still.iter().take(8).map(|name| format!("\"{name}\"")).collect();
+        let message = match (&still[..], told.shapes.len()) {
+            ([""], 1) => "the other shape moves nothing of the model".to_owned(),
+            (still, all) => format!(
+                "{} of {all} shapes move nothing of the model: {}",
+                still.len(),
+                named.join(", ")
+            ),
+        };
+        files.warnings.push(WrittenWarning {
+            code: "shapes-move-nothing",
+            message,
+            place: String::new(),
+        });
+    }
     let of_wrap = told.wrap.iter().flat_map(WrapReport::warnings);
     files.warnings.extend(of_wrap.map(|warning| WrittenWarning {
         code: warning.code,

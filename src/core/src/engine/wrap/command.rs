@@ -1,7 +1,7 @@
 //! A wrap as a program asks for it.
 
-use crate::engine::handle::Region;
 use crate::engine::other_model::OtherModel;
+use crate::engine::region::Region;
 use glam::DVec3;
 
 /// A wrap of the model onto another one.

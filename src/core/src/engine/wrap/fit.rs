@@ -14,6 +14,7 @@ use crate::engine::target_vertices::{SHARES, shares_of_area};
 use crate::exec::Exec;
 use crate::mesh::Mesh;
 use crate::mesh::query::TriangleBvh;
+use crate::progress::Progress;
 use glam::DVec3;
 use std::sync::OnceLock;
 
@@ -46,6 +47,19 @@ const ANCHORED: usize = 1;
 pub(super) struct Wanted {
     pub place: DVec3,
     pub weight: f64,
+}
+
+/// Watches what is built and solved in a step, which reports no stages of its own: they are parts of the wrap.
+struct WithinStep<'a>(&'a dyn Progress);
+
+impl Progress for WithinStep<'_> {
+    fn cancelled(&self) -> bool {
+        self.0.cancelled()
+    }
+
+    fn may_hold(&self, bytes: u64) -> bool {
+        self.0.may_hold(bytes)
+    }
 }
 
 /// A template under way to a target.
@@ -88,7 +102,7 @@ impl<'a> WrapFit<'a> {
             triangles,
             shares: shares_of_area(mesh),
             diagonal: mesh.bounds().diagonal(),
-            solver: FitSolver::new(mesh.clone(), task, exec)?,
+            solver: FitSolver::new(mesh.clone(), task, &Exec::new(exec.pool, &WithinStep(exec.progress)))?,
             now: mesh.positions.clone(),
             ahead: mesh.positions.clone(),
         })
@@ -99,6 +113,9 @@ impl<'a> WrapFit<'a> {
     /// # Errors
     /// [`Error::Cancelled`], and those of solving.
     pub fn run(&mut self, exec: &Exec<'_>) -> Result<(), Error> {
+        let (progress, quiet) = (exec.progress, WithinStep(exec.progress));
+        let exec = &Exec::new(exec.pool, &quiet);
+        progress.report("wrap", 0.0);
         if !self.task.landmarks.is_empty() {
             let none = vec![Wanted::default(); self.now.len()];
             self.solve(&none, LANDMARKS[0], exec)?;
@@ -108,7 +125,7 @@ impl<'a> WrapFit<'a> {
         for step in 0..steps {
             exec.check()?;
             let along = step as f64 / (steps - 1) as f64;
-            exec.progress.report("wrap", along as f32);
+            progress.report("wrap", along as f32);
             let level = step / STEPS;
             if level > 0 && step % STEPS == 0 {
                 let mut mesh = self.task.template.clone();
@@ -254,6 +271,7 @@ impl FitSolver {
             hold,
             places: all.iter().map(|w| w.place).collect(),
             weights: all.iter().map(|w| w.weight).collect(),
+            points: Vec::new(),
         };
         let targets = [targets(ALL, wanted), targets(ANCHORED, anchors)];
         self.handles.set_targets(&self.body, &targets, &mut self.state, exec)?;

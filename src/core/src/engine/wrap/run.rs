@@ -34,7 +34,7 @@ pub(in crate::engine) fn wrap(
         .zip(task.masked)
         .for_each(|(pulled, masked)| *pulled &= !masked);
     if !pulled.contains(&true) {
-        let problem = "nothing of the template is left to be pulled: all of it is hidden or masked";
+        let problem = "nothing of the model that is wrapped is left to be pulled: all of it is hidden or masked";
         return Err(Error::Precondition(problem.into()));
     }
     let target = TargetSurface::of(target, exec)?;

@@ -59,13 +59,11 @@ pub(super) fn add_shapes(
     let mut sections = JsonSections::default();
     let drawing: BTreeSet<usize> = nodes.iter().map(|node| node.node).collect();
     let mut clips = clips_without_weights(played, &drawing);
-    clips.extend(
-        shapes
-            .clips
-            .iter()
-            .filter(|_| !nodes.is_empty())
-            .map(|clip| new_clip(played, clip, &drawing, shapes)),
-    );
+    for clip in shapes.clips.iter().filter(|_| !nodes.is_empty()) {
+        let name = unused_name(&clip.name, &clips);
+        let clip = BlendClip { name, ..clip.clone() };
+        clips.push(new_clip(played, &clip, &drawing, shapes));
+    }
     sections.set_list("animations", &clips);
     Ok(sections)
 }
@@ -214,6 +212,19 @@ fn clips_without_weights(played: &PlayedDocument<'_, '_>, nodes: &BTreeSet<usize
         }
     }
     kept
+}
+
+/// The name of a clip, with a number behind it where another of these has it: players choose clips by their names.
+fn unused_name(name: &str, clips: &[String]) -> String {
+    let taken = |name: &str| {
+        let quoted = quoted(name);
+        clips.iter().any(|clip| value_of(clip, "name") == Some(quoted.as_str()))
+    };
+    let numbered = (2..).map(|k| format!("{name} {k}"));
+    let mut names = std::iter::once(name.to_owned()).chain(numbered);
+    names
+        .find(|name| name.is_empty() || !taken(name))
+        .unwrap_or_else(|| name.to_owned())
 }
 
 /// A clip of weights on all nodes that have the shapes.
