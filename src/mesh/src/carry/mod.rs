@@ -17,6 +17,7 @@
 mod carried_points;
 mod motion;
 mod packed_points;
+mod sides;
 mod stretch;
 
 pub use carried_points::{CarriedPoints, SurfaceCarrier};

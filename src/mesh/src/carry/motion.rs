@@ -2,6 +2,7 @@
 //!
 //! The rest surface: a tree whose nodes stand for the triangles below them when seen from far away.
 
+use crate::carry::sides::SurfaceSides;
 use crate::measure::BoundingBox;
 use crate::query::TriangleBvh;
 use crate::query::closest_point::closest_weights_on_triangle;
@@ -313,6 +314,8 @@ pub struct CarrySurface {
     pub(super) leaves: usize,
     /// Length of the diagonal of the box around all triangles.
     pub(super) diagonal: f64,
+    /// Where points are to follow their own side of a cut alone.
+    pub(super) sides: Option<SurfaceSides>,
 }
 
 /// A node of the tree, as what it is seen as from afar.
@@ -366,6 +369,7 @@ impl CarrySurface {
             nodes: Vec::with_capacity(shape.len()),
             leaves,
             diagonal,
+            sides: None,
         };
         pool.install(|| {
             let area = |&t: &u32| 0.5 * surface.doubled_normal(t).length() + floor;
@@ -382,6 +386,23 @@ impl CarrySurface {
             surface.nodes.push(merged);
         }
         surface
+    }
+
+    /// The same surface, of which points follow one side alone where parts touch that are not joined, as the halves of a cut do: that of the
+    /// nearest triangle.
+    #[must_use]
+    pub fn with_sides(mut self) -> Self {
+        self.sides = SurfaceSides::of(&self.rest, &self.triangles);
+        if let Some(sides) = &mut self.sides {
+            for (index, node) in self.nodes.iter().enumerate() {
+                let children = node.first as usize..(node.first + node.count) as usize;
+                match index < self.leaves {
+                    true => sides.push_leaf(&self.order[children]),
+                    false => sides.push_node(children),
+                }
+            }
+        }
+        self
     }
 
     /// Number of samples that points can follow: vertices and clusters.
@@ -401,6 +422,7 @@ impl CarrySurface {
             + size_of_val(self.order.as_slice())
             + size_of_val(self.weights.as_slice())
             + size_of_val(self.nodes.as_slice())
+            + self.sides.as_ref().map_or(0, SurfaceSides::byte_size)
     }
 
     /// Where the vertices are in the rest pose.
