@@ -4,7 +4,7 @@ use super::input_files::{
     AllowedFolders, LARGEST, NamedFiles, folder_of, in_file, output_format, read_file, read_model,
 };
 use super::output_files::{OutputPermission, is_same_place};
-use super::terminal::{CliFailure, StageSpinner, ThreadArgs, print_json};
+use super::terminal::{CliFailure, StageSpinner, ThreadArgs, print_json, say};
 use crate::asset::{FileSet, FollowedCounts, Format, WrittenFiles};
 use crate::batch::{self, BatchOutput};
 use crate::engine::DeformerLimits;
@@ -105,7 +105,7 @@ pub(super) fn run_deform(args: &DeformArgs) -> Result<(), CliFailure> {
         print_summary(&outcome.report, &outcome.written.followed, millis());
     }
     for name in &outcome.unchecked {
-        eprintln!("expect.{name} needs a stored result and was not checked");
+        say!("expect.{name} needs a stored result and was not checked");
     }
     match outcome.unmet.is_empty() {
         true => Ok(()),
@@ -151,12 +151,12 @@ pub(in crate::cli) fn describe_change(is_open: bool, change: f64) -> String {
 fn print_summary(report: &pb::Report, followed: &FollowedCounts, millis: f64) {
     let solver = report.solver.clone().unwrap_or_default();
     for w in &report.warnings {
-        eprintln!("warning {}: {}", w.code, w.message);
+        say!("warning {}: {}", w.code, w.message);
     }
     for (k, step) in report.steps.iter().enumerate() {
         if let Some(edit) = &step.edit {
             let [before, after] = [edit.before, edit.after].map(Option::unwrap_or_default);
-            eprintln!(
+            say!(
                 "step {k}: edited, {} -> {} vertices, {} -> {} triangles, {:.0} ms",
                 grouped_count(before.vertices.into()),
                 grouped_count(after.vertices.into()),
@@ -166,10 +166,10 @@ fn print_summary(report: &pb::Report, followed: &FollowedCounts, millis: f64) {
             );
             edit.warnings
                 .iter()
-                .for_each(|w| eprintln!("warning {}: {}", w.code, w.message));
+                .for_each(|w| say!("warning {}: {}", w.code, w.message));
             continue;
         }
-        eprintln!(
+        say!(
             "step {k}: {} cycles, residual {:.1e}, error at most {:.1e} of the diagonal, {:.0} ms",
             step.cycles,
             step.residual,
@@ -179,7 +179,7 @@ fn print_summary(report: &pb::Report, followed: &FollowedCounts, millis: f64) {
     }
     let quality = report.quality.unwrap_or_default();
     let volume = describe_change(quality.open_surface, quality.volume_change);
-    eprintln!(
+    say!(
         "{} solver vertices, {} graph vertices, {} levels; volume {volume}, {} triangles flipped; {:.0} ms in all",
         grouped_count(solver.solver_vertices.into()),
         grouped_count(solver.graph_vertices.into()),
@@ -189,12 +189,12 @@ fn print_summary(report: &pb::Report, followed: &FollowedCounts, millis: f64) {
     );
     if let Some(pairs) = quality.self_intersections {
         let new = quality.new_self_intersections.unwrap_or(pairs);
-        eprintln!("{pairs} pairs of triangles cross, {new} of them not in the rest pose");
+        say!("{pairs} pairs of triangles cross, {new} of them not in the rest pose");
     }
     if !followed.is_none() {
-        eprintln!("followed: {followed}");
+        say!("followed: {followed}");
     }
-    eprintln!("{} -> {}", report.digest, report.output.join(", "));
+    say!("{} -> {}", report.digest, report.output.join(", "));
 }
 
 /// Reads a job file and the models that it names, which lie beside it or in folders that are allowed.

@@ -4,7 +4,7 @@
 
 use super::input_files::{in_file, open_model, read_file};
 use super::output_files::{OutputPermission, check_ending, spare_companions};
-use super::terminal::{CliFailure, StageSpinner, ThreadArgs, pretty_text, print_value};
+use super::terminal::{CliFailure, StageSpinner, ThreadArgs, pretty_text, print_value, say};
 use crate::asset::{CarryingJoints, Model, SkinnedClip};
 use crate::engine::{MadeRig, RigOrder, bind_model, carrying_joints, left_out_of_rig, left_out_primitives, make_rig};
 use crate::exec::Exec;
@@ -126,7 +126,7 @@ pub(super) fn run_rig(args: &RigArgs) -> Result<(), CliFailure> {
         return print_value(&report(&made, &args.output, picture.as_deref()));
     }
     for warning in &made.warnings {
-        eprintln!("warning: {warning}");
+        say!("warning: {warning}");
     }
     for joint in &made.joints {
         let [x, y, z] = joint.at.to_array();
@@ -137,10 +137,10 @@ pub(super) fn run_rig(args: &RigArgs) -> Result<(), CliFailure> {
             String::new()
         };
         let score = joint.score;
-        eprintln!("{:<12} {x:9.4} {y:9.4} {z:9.4}  {score:.2} {place}{moved}", joint.name);
+        say!("{:<12} {x:9.4} {y:9.4} {z:9.4}  {score:.2} {place}{moved}", joint.name);
     }
     let shown = picture.map_or_else(String::new, |p| format!(", drawn in {}", p.display()));
-    eprintln!(
+    say!(
         "{} -> {}: {} bones, joints by {}{shown}",
         args.model.display(),
         args.output.display(),
@@ -359,9 +359,9 @@ pub(super) fn run_skin(args: &SkinArgs) -> Result<(), CliFailure> {
     }
     if !idle.is_empty() {
         let names = idle.join("\", \"");
-        eprintln!("warning: no vertex follows \"{names}\" most");
+        say!("warning: no vertex follows \"{names}\" most");
     }
-    eprintln!(
+    say!(
         "{} -> {}: {vertices} vertices on {bones} bones, at most {most} each, {unweighted} without a weight; {ms:.0} ms",
         args.model.display(),
         args.output.display()

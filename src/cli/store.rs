@@ -5,7 +5,7 @@
 
 use super::input_files::output_format;
 use super::output_files::OutputPermission;
-use super::terminal::{CliFailure, print_value};
+use super::terminal::{CliFailure, list, print_value};
 use crate::asset::FileSet;
 use crate::server::config::{ConfigKeys, KeyValue, stored_in};
 use crate::session;
@@ -86,7 +86,7 @@ async fn run_store_check(args: &StoreCheckArgs) -> Result<(), CliFailure> {
     let (mut damaged, mut reported) = (u64::from(in_database.is_err()), Vec::new());
     let mut total = CheckedSession::default();
     if let (Err(error), false) = (&in_database, args.json) {
-        println!("damaged  the database: {error}");
+        list!("damaged  the database: {error}");
     }
     let sessions = store.all_sessions().await.map_err(store_failure)?;
     for session in &sessions {
@@ -101,7 +101,7 @@ async fn run_store_check(args: &StoreCheckArgs) -> Result<(), CliFailure> {
         }
         match args.json {
             true => reported.push(checked_json(session, &checked)),
-            false => println!("{}", as_line(session, &checked)),
+            false => list!("{}", as_line(session, &checked)),
         }
     }
     let unused = store.unused_objects().await.map_err(store_failure)?;
@@ -111,7 +111,7 @@ async fn run_store_check(args: &StoreCheckArgs) -> Result<(), CliFailure> {
             "sessions": reported, "damaged": damaged, "unusedObjects": unused,
         }))?;
     } else {
-        println!(
+        list!(
             "{} sessions, {} commits, {} objects with {} bytes; {damaged} damaged, {} objects that no session names",
             sessions.len(),
             total.commits,
@@ -207,7 +207,7 @@ async fn run_store_export(args: &StoreExportArgs) -> Result<(), CliFailure> {
         .permission
         .write_model(&args.output, &exported.written, &args.output, &nothing)?;
     for path in written {
-        println!("{}", path.display());
+        list!("{}", path.display());
     }
     Ok(())
 }
@@ -311,7 +311,7 @@ async fn run_store_list(args: &StoreListArgs) -> Result<(), CliFailure> {
     }
     for session in &sessions {
         let (id, tenant, commits) = (&session.id, &session.tenant.0, session.commits);
-        println!(
+        list!(
             "{id}\t{commits}\t{}\t{}\t{tenant}",
             last_use(session),
             time_to_live(session)
@@ -395,14 +395,14 @@ async fn run_store_prune(args: &StorePruneArgs) -> Result<(), CliFailure> {
                 .await
                 .map_err(store_failure)?;
         }
-        println!("session  {}  {}", session.id, session.tenant.0);
+        list!("session  {}  {}", session.id, session.tenant.0);
     }
     let unused = store.unused_objects().await.map_err(store_failure)?;
     if !args.dry_run {
         store.remove_unused(&unused).await.map_err(store_failure)?;
     }
     for object in &unused {
-        println!("object   {object}");
+        list!("object   {object}");
     }
     if let (Some(age), false) = (args.audit_older_than, args.dry_run) {
         let before = now.saturating_sub(milliseconds(age));
@@ -412,6 +412,6 @@ async fn run_store_prune(args: &StorePruneArgs) -> Result<(), CliFailure> {
         if args.dry_run { "would be removed" } else { "removed" },
         (sessions.len(), unused.len()),
     );
-    println!("{} sessions and {} objects {done}", counts.0, counts.1);
+    list!("{} sessions and {} objects {done}", counts.0, counts.1);
     Ok(())
 }

@@ -9,6 +9,7 @@ use crate::wire::Error as WireError;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
+use std::borrow::Cow;
 use std::io::Write as _;
 use std::ops::RangeInclusive;
 use std::path::Path;
@@ -88,13 +89,41 @@ pub(super) fn pretty_text(value: &serde_json::Value) -> Result<String, CliFailur
     Ok(text + "\n")
 }
 
-/// Prints the text of one document on stdout.
+/// Prints the text of one document on stdout, with what would steer a terminal escaped.
 pub(super) fn print_text(text: &str) -> Result<(), CliFailure> {
     IS_PRINTED.store(true, Ordering::Relaxed);
     let mut stdout = std::io::stdout();
-    let written = stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush());
+    let written = stdout
+        .write_all(harmless(text).as_bytes())
+        .and_then(|()| stdout.flush());
     written.map_err(|e| CliFailure::Internal(format!("cannot write to stdout: {e}")))
 }
+
+/// Text with the characters that steer a terminal, or turn the direction of what follows, escaped as JSON does: names come from files.
+pub(super) fn harmless(text: &str) -> Cow<'_, str> {
+    let steers = |c: char| {
+        let turns = matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+        turns || (c.is_control() && !matches!(c, '\n' | '\t'))
+    };
+    if !text.contains(steers) {
+        return Cow::Borrowed(text);
+    }
+    let each = |out: String, c: char| match steers(c) {
+        true => out + &format!("\\u{:04x}", u32::from(c)),
+        false => out + c.encode_utf8(&mut [0; 4]),
+    };
+    Cow::Owned(text.chars().fold(String::new(), each))
+}
+
+/// Prints a line on stderr, as `eprintln!` does, with what would steer a terminal escaped.
+macro_rules! say {
+    ($($part:tt)*) => { eprintln!("{}", $crate::cli::terminal::harmless(&format!($($part)*))) };
+}
+/// Prints a line on stdout, as `println!` does, with what would steer a terminal escaped.
+macro_rules! list {
+    ($($part:tt)*) => { println!("{}", $crate::cli::terminal::harmless(&format!($($part)*))) };
+}
+pub(super) use {list, say};
 
 /// Runs a command that waits to its end, on this thread.
 pub(super) fn block_on<T>(command: impl Future<Output = T>) -> Result<T, CliFailure> {
@@ -253,7 +282,7 @@ impl CliFailure {
     pub(super) fn report_and_exit(&self) -> ExitCode {
         print_failure(self);
         if !matches!(self, Self::Logged(_)) {
-            eprintln!("pliant: {}", self.message());
+            say!("pliant: {}", self.message());
         }
         ExitCode::from(self.exit_code())
     }
@@ -293,6 +322,20 @@ impl From<WireError> for CliFailure {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_would_steer_a_terminal_is_escaped() {
+        assert_eq!(harmless("größe\t\n"), "größe\t\n");
+        assert_eq!(
+            harmless("a\u{1b}[2J\u{7}\r\u{7f}\u{9b}31m\u{202e}b"),
+            r"a\u001b[2J\u0007\u000d\u007f\u009b31m\u202eb"
+        );
+        // A document says the same as before.
+        let document = json!({"name": "\u{9b}\u{1b}"});
+        let text = pretty_text(&document).expect("text");
+        let read: serde_json::Value = serde_json::from_str(&harmless(&text)).expect("JSON");
+        assert_eq!(read, document);
+    }
 
     #[test]
     fn stages_say_how_far_they_are() {

@@ -3,7 +3,7 @@
 use super::drawing::{DrawnShape, NormalChoice, UpAxisChoice, ViewList, parse_views};
 use super::input_files::{in_file, output_format, read_file, read_model};
 use super::output_files::{OutputPermission, check_ending, spare_companions};
-use super::terminal::{CliFailure, StageSpinner, ThreadArgs, pretty_text, print_json};
+use super::terminal::{CliFailure, StageSpinner, ThreadArgs, pretty_text, print_json, say};
 use super::wrap::landmarks::{in_names_of_file, landmarks_from_json};
 use crate::asset::{FileSet, Format, Limits, Model, WrittenFiles};
 use crate::deform::VolumeMode;
@@ -104,14 +104,14 @@ pub(super) fn run_transfer(args: &TransferArgs) -> Result<(), CliFailure> {
         args.draw(path, [Some(source), Some(target), shape], &came.files, &pool)?;
     }
     for w in &came.files.warnings {
-        eprintln!("warning {}: {}", w.code, w.message);
+        say!("warning {}: {}", w.code, w.message);
     }
     if args.json {
         return print_json(&report);
     }
     print_summary(&report, clock.elapsed().as_secs_f64());
     let written: Vec<String> = written.iter().map(|p| p.display().to_string()).collect();
-    eprintln!("-> {}", written.join(", "));
+    say!("-> {}", written.join(", "));
     Ok(())
 }
 
@@ -247,7 +247,7 @@ fn shapes_named(model: &Model, names: &[String]) -> Result<Vec<(String, Vec<DVec
 
 fn print_summary(report: &pb::TransferReport, seconds: f64) {
     if let Some(on) = report.wrap.and_then(|wrap| wrap.to_target) {
-        eprintln!(
+        say!(
             "the source lies on the target to {:.3} / {:.3} / {:.2} % of its diagonal (p50 / p95 / max)",
             100.0 * on.p50,
             100.0 * on.p95,
@@ -256,7 +256,7 @@ fn print_summary(report: &pb::TransferReport, seconds: f64) {
     }
     let flipped: u32 = report.shapes.iter().map(|shape| shape.flipped_triangles).sum();
     let in_source: u32 = report.shapes.iter().map(|shape| shape.flipped_in_source).sum();
-    eprintln!(
+    say!(
         "{} shapes and {} clips came; they turn {flipped} triangles over, {in_source} on the source; {seconds:.1} s",
         report.shapes.len(),
         report.clips

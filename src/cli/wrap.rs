@@ -6,7 +6,7 @@ use super::deform::report_format;
 use super::drawing::{DrawnShape, NormalChoice, UpAxisChoice, ViewList, parse_views};
 use super::input_files::{in_file, output_format, read_file, read_model};
 use super::output_files::{OutputPermission, check_ending, spare_companions};
-use super::terminal::{CliFailure, StageSpinner, ThreadArgs, pretty_text, print_json};
+use super::terminal::{CliFailure, StageSpinner, ThreadArgs, pretty_text, print_json, say};
 use crate::asset::{FileSet, Limits, Model, WrittenFiles};
 use crate::batch::{self, BatchOutput};
 use crate::engine::DeformerLimits;
@@ -205,7 +205,7 @@ impl WrapArgs {
 
 fn print_summary(report: &pb::Report, written: &WrittenFiles, millis: f64) {
     for w in &report.warnings {
-        eprintln!("warning {}: {}", w.code, w.message);
+        say!("warning {}: {}", w.code, w.message);
     }
     let edit = report
         .steps
@@ -213,22 +213,22 @@ fn print_summary(report: &pb::Report, written: &WrittenFiles, millis: f64) {
         .and_then(|step| step.edit.clone())
         .unwrap_or_default();
     for w in &edit.warnings {
-        eprintln!("warning {}: {}", w.code, w.message);
+        say!("warning {}: {}", w.code, w.message);
     }
     let told = edit.wrap.unwrap_or_default();
     let percent = |d: Option<pb::wrap_report::Distances>| {
         let d = d.unwrap_or_default();
         format!("{:.3} / {:.3} / {:.2} %", 100.0 * d.p50, 100.0 * d.p95, 100.0 * d.max)
     };
-    eprintln!(
+    say!(
         "to the target {}, from it {} of its diagonal (p50 / p95 / max)",
         percent(told.to_target),
         percent(told.from_target)
     );
     if told.landmarks.is_some_and(|d| d.max > 0.0) {
-        eprintln!("landmarks {}", percent(told.landmarks));
+        say!("landmarks {}", percent(told.landmarks));
     }
-    eprintln!(
+    say!(
         "{} of {} vertices not pulled, {} triangles flipped, edges uneven by {:.1} %, {} pairs of triangles cross ({} before); \
          {millis:.0} ms in all",
         grouped_count(told.unpulled_vertices.into()),
@@ -239,7 +239,7 @@ fn print_summary(report: &pb::Report, written: &WrittenFiles, millis: f64) {
         grouped_count(told.crossings_before),
     );
     if !written.followed.is_none() {
-        eprintln!("followed: {}", written.followed);
+        say!("followed: {}", written.followed);
     }
-    eprintln!("{} -> {}", report.digest, report.output.join(", "));
+    say!("{} -> {}", report.digest, report.output.join(", "));
 }

@@ -11,7 +11,7 @@ use crate::support::skinning::{list, world_transforms};
 use glam::DVec3;
 use pliant::asset::{FileSet, Following, Format, Limits, Model, RigRule, WrittenFiles};
 use serde_json::{Value, json};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// What an avatar says in lengths, by its place in the file: points in the world, and lengths.
 struct Measured {
@@ -95,6 +95,28 @@ impl Measured {
             assert!((seen - wanted).abs() < near * wanted, "{name}: {seen} is not {wanted}");
         }
     }
+}
+
+/// The nodes that an avatar calls bones of its body and of chains that swing.
+fn bones(file: &Parsed) -> BTreeSet<usize> {
+    let extensions = &file.json["extensions"];
+    let mut nodes: Vec<Value> = (list(&extensions["VRM"]["humanoid"]["humanBones"]).iter())
+        .map(|bone| bone["node"].clone())
+        .collect();
+    let named = extensions["VRMC_vrm"]["humanoid"]["humanBones"].as_object();
+    nodes.extend(
+        named
+            .into_iter()
+            .flat_map(|all| all.values())
+            .map(|bone| bone["node"].clone()),
+    );
+    for spring in list(&extensions["VRMC_springBone"]["springs"]) {
+        nodes.extend(list(&spring["joints"]).iter().map(|joint| joint["node"].clone()));
+    }
+    nodes
+        .iter()
+        .map(|node| node.as_u64().expect("a node") as usize)
+        .collect()
 }
 
 fn avatars() -> Vec<(&'static str, Model, bool)> {
@@ -190,6 +212,12 @@ fn what_an_avatar_says_in_lengths_grows_with_it() {
         assert_eq!(others(&before), others(&after), "{name}");
         if is_first {
             check_turns(name, &before, &after);
+        }
+        let [was, is] = [&before, &after].map(|file| world_transforms(file, None).expect("plain nodes"));
+        for bone in bones(&before) {
+            // Joints of skins and others alike.
+            let off = is[bone].translation.distance(1.5 * was[bone].translation);
+            assert!(off < 1e-4, "{name}: bone {bone} is {off} beside the body");
         }
         let pair = ["before", "after"].map(|which| folder.join(format!("{name} {which}.glb")));
         khronos::store(

@@ -16,26 +16,26 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
 /// The bend of bars and rods along y from 0 to 4.
-fn bend() -> Value {
+pub(super) fn bend() -> Value {
     json!({"handles": [{"id": "base", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -0.5}}},
                        {"id": "top", "region": {"halfSpace": {"normal": [0, 1, 0], "offset": 3.5}}}],
            "steps": [{"pose": {"handles": [{"id": "top", "pose": {"rotationVector": [0, 0, -1.2], "translation": [1.1, -0.7, 0]}}]}}],
            "options": {"tolerance": 1e-6}})
 }
 
-fn run(files: FileSet, job: &Value, exec: &Exec<'_>) -> BatchOutcome {
+pub(super) fn run(files: FileSet, job: &Value, exec: &Exec<'_>) -> BatchOutcome {
     let job = from_json(job.to_string().as_bytes()).expect("a job");
     batch::run(files, &job, None, &DeformerLimits::default(), exec, &|| 0.0).expect("it bends")
 }
 
 /// Bends a file of the folder: what it was, and what came of it. `None` without the data.
-fn bent(name: &str, exec: &Exec<'_>) -> Option<(Model, BatchOutcome)> {
+pub(super) fn bent(name: &str, exec: &Exec<'_>) -> Option<(Model, BatchOutcome)> {
     let files = FileSet::single(name, data_bytes(&format!("field/{name}"))?);
     let model = Model::read(files.clone(), None, &Limits::default()).expect("readable");
     Some((model, run(files, &bend(), exec)))
 }
 
-fn farthest(a: &[DVec3], b: &[DVec3]) -> f64 {
+pub(super) fn farthest(a: &[DVec3], b: &[DVec3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max)
 }
 

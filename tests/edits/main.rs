@@ -8,6 +8,7 @@ mod cut;
 mod cut_hostile;
 mod dragon;
 mod edit_support;
+mod field_kept;
 mod field_rows;
 mod map_coordinates;
 mod marathon;

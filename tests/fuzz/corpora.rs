@@ -343,6 +343,7 @@ fn model_record() -> Vec<u8> {
         loose_vertices_ride: true,
         near_origin: true,
         every_cut_ends_lines: true,
+        riders_keep_sides: true,
         label: "a box".into(),
         format: Format::OBJ,
         graph_bytes: Some(1 << 30),

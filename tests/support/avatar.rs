@@ -53,17 +53,18 @@ pub fn avatar(is_first: bool) -> Vec<u8> {
         "nodes": [
             {"name": "Root", "children": [1]},
             {"name": "hips", "translation": [0, 0.9, 0], "children": [2, 5]},
-            {"name": "head", "translation": [0, 0.6, 0], "children": [3]},
+            {"name": "head", "translation": [0, 0.6, 0], "children": [3, 6]},
             {"name": "hair", "translation": [0, 0.25, -0.1]},
             {"name": "body", "mesh": 0, "skin": 0},
             {"name": "twist", "translation": [0, 0.3, 0]},
+            {"name": "jaw", "translation": [0, 0.1, 0.05]},
         ],
         "extensionsUsed": if is_first { json!(["VRM"]) } else { json!(["VRMC_vrm", "VRMC_springBone", "VRMC_node_constraint"]) },
     });
     if is_first {
         document["extensions"] = json!({"VRM": {
             "specVersion": "0.0",
-            "humanoid": {"humanBones": [{"bone": "hips", "node": 1}, {"bone": "head", "node": 2}]},
+            "humanoid": {"humanBones": [{"bone": "hips", "node": 1}, {"bone": "head", "node": 2}, {"bone": "jaw", "node": 6}]},
             "firstPerson": {"firstPersonBone": -1, "firstPersonBoneOffset": {"x": 0.0, "y": 0.1, "z": 0.12}, "meshAnnotations": []},
             "blendShapeMaster": {"blendShapeGroups": [{"presetName": "joy", "binds": [{"mesh": 0, "index": 0, "weight": 100}]}]},
             "secondaryAnimation": {
@@ -83,7 +84,7 @@ pub fn avatar(is_first: bool) -> Vec<u8> {
         document["extensions"] = json!({
             "VRMC_vrm": {
                 "specVersion": "1.0", "meta": {"name": "column"},
-                "humanoid": {"humanBones": {"hips": {"node": 1}, "head": {"node": 2}}},
+                "humanoid": {"humanBones": {"hips": {"node": 1}, "head": {"node": 2}, "jaw": {"node": 6}}},
                 "expressions": {"preset": {"happy": {"morphTargetBinds": [{"node": 4, "index": 0, "weight": 1}]}}},
                 "lookAt": {"type": "bone", "offsetFromHeadBone": [0.12, 0.1, 0.0]},
             },

@@ -46,8 +46,8 @@ pub(super) struct PrimitiveAttributes {
     pub material: Option<Arc<NamedMaterial>>,
     /// Its faces, where some have more than three corners.
     pub faces: Option<RunFaces>,
-    /// The first triangle of the run that it is a part of: parts of one run are parts of one surface.
-    pub of_run: u32,
+    /// The first triangle of the object that it is a part of: parts of one run are, and primitives of one mesh at one node.
+    pub of_object: u32,
 }
 
 /// What files of a format hold of how a model looks.
@@ -251,9 +251,6 @@ impl NeutralModel {
         let triangles = part.source_triangles.iter();
         self.source_triangles.extend(triangles.map(|t| run.first_triangle + t));
         self.push_attributes(part.attributes);
-        if let Some(own) = self.attributes.last_mut() {
-            own.of_run = run.first_triangle;
-        }
         Ok(())
     }
 
@@ -370,7 +367,7 @@ impl NeutralModel {
             has_corner_uv: !corner_uv.is_empty(),
             material,
             faces,
-            of_run: 0,
+            of_object: 0,
         });
         if !corner_uv.is_empty() || !self.corner_uv.is_empty() {
             let corners = 3 * self.geometry.triangles.len();

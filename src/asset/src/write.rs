@@ -7,12 +7,13 @@ use super::formats::{codec_of, reader_of, translator_of};
 use super::model::is_same;
 use super::neutral::{HeldLooks, NeutralModel, RunAttributes, RunPart};
 use super::{
-    Error, FileSet, Following, Format, Limits, Model, ModelNode, ShapeFollowers, VertexAttributes, WrittenFiles,
-    WrittenWarning,
+    Error, FileSet, Following, Format, Limits, Model, ModelNode, Primitive, ShapeFollowers, VertexAttributes,
+    WrittenFiles, WrittenWarning,
 };
 use glam::DVec3;
 use pliant_exec::progress::{Progress, Silent};
 use pliant_mesh::BoundingBox;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::OnceLock;
 
 /// The extension of Gaussian splats.
@@ -512,7 +513,7 @@ fn add_base(
     let divides = codec_of(format).divides_at_seams();
     // Read once for all runs, and not at all for those that are divided.
     let mut attributes = None;
-    for &run in &runs {
+    for (&run, object) in runs.iter().zip(objects_of(&held.model.geometry.primitives, &runs)) {
         let mut parts = None;
         let cap = edited.cap_material(run);
         if (divides || source.divides_by_look()) && cap.is_none() {
@@ -537,9 +538,28 @@ fn add_base(
         }
         for part in parts.into_iter().flatten() {
             neutral.push_part(edited, run, positions, part, format)?;
+            if let Some(own) = neutral.attributes.last_mut() {
+                own.of_object = object;
+            }
         }
     }
     Ok(())
+}
+
+/// For each run the first triangle of the object that it is a part of. Runs of one primitive are parts of one object, and so are primitives
+/// of one mesh at one node; formats without nodes give all their primitives the same place.
+fn objects_of(primitives: &[Primitive], runs: &[&PrimitiveRun]) -> Vec<u32> {
+    let place = |own: &Primitive| (own.node, own.mesh, own.primitive);
+    let has_nodes = primitives.iter().map(place).collect::<BTreeSet<_>>().len() == primitives.len();
+    let mut first_triangles = BTreeMap::new();
+    let of_run = |run: &&PrimitiveRun| {
+        let key = match primitives.get(run.primitive as usize).filter(|_| has_nodes) {
+            Some(own) => (own.node, own.mesh),
+            None => (run.primitive, 0),
+        };
+        *first_triangles.entry(key).or_insert(run.first_triangle)
+    };
+    runs.iter().map(of_run).collect()
 }
 
 /// Rejects a model whose every triangle collapses in the format's positions. One remaining triangle makes a model that

@@ -14,7 +14,7 @@ mod play;
 
 use super::deform::describe_change;
 use super::input_files::{in_file, read_file, read_model};
-use super::terminal::{CliFailure, StageSpinner, ThreadArgs, print_json, raised_on_stop};
+use super::terminal::{CliFailure, StageSpinner, ThreadArgs, print_json, raised_on_stop, say};
 use crate::asset::{FileSet, Model};
 use crate::deform::EdgeWeights;
 use crate::engine::{
@@ -193,7 +193,7 @@ pub(in crate::cli) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> 
     }
     print_summary(&report, !deformer.report().closed);
     if let Some(place) = output.place() {
-        eprintln!("{} -> {place}", args.model.display());
+        say!("{} -> {place}", args.model.display());
     }
     Ok(())
 }
@@ -202,7 +202,7 @@ fn print_summary(report: &pb::AnimationReport, is_open: bool) {
     let ready = report.build_ms.get("prepare").copied().unwrap_or_default();
     let totals = report.totals.unwrap_or_default();
     for warning in &report.warnings {
-        eprintln!("warning: {warning}");
+        say!("warning: {warning}");
     }
     let mut volume = describe_change(is_open, totals.volume_change_mean);
     if !is_open {
@@ -210,7 +210,7 @@ fn print_summary(report: &pb::AnimationReport, is_open: bool) {
         volume += &format!(", at worst {worst}");
     }
     for foot in &report.feet {
-        eprintln!(
+        say!(
             "{} stands in {} frames, {} times; it slides by {:.2} % of the height a frame, {:.2} % as recorded",
             foot.bone,
             foot.planted_frames,
@@ -223,11 +223,15 @@ fn print_summary(report: &pb::AnimationReport, is_open: bool) {
         .new_self_intersections_mean
         .zip(totals.new_self_intersections_worst)
     {
-        eprintln!("{mean:.1} pairs of triangles cross in a frame that do not in the rest pose, at worst {worst}");
+        say!("{mean:.1} pairs of triangles cross in a frame that do not in the rest pose, at worst {worst}");
     }
-    eprintln!(
+    say!(
         "{} frames, {:.1} a second after {:.0} ms; volume {volume}; {:.1} triangles flipped a frame, at worst {}",
-        totals.frames, totals.frames_per_second, ready, totals.flipped_triangles_mean, totals.flipped_triangles_worst
+        totals.frames,
+        totals.frames_per_second,
+        ready,
+        totals.flipped_triangles_mean,
+        totals.flipped_triangles_worst
     );
 }
 

@@ -5,7 +5,7 @@ use super::play::{FrameTaker, PlayedAnimation};
 use crate::cli::drawing::{
     CloseUp, Contacts, DrawnShape, SeenShape, bounds_of, crossing_words, crossings_by_triangle, heat_colours,
 };
-use crate::cli::terminal::CliFailure;
+use crate::cli::terminal::{CliFailure, say};
 use crate::engine::{AnimatedFrame, bind_model, influences_of_skin};
 use crate::exec::Exec;
 use crate::mesh::BoundingBox;
@@ -81,7 +81,7 @@ impl<'a> PicturedFrames<'a> {
         let colour = picture.colour.unwrap_or(usual);
         if colour == FrameColour::Material {
             for fault in drawn.wear_materials()? {
-                eprintln!("warning: {}: {fault}", played.model.display());
+                say!("warning: {}: {fault}", played.model.display());
             }
         }
         let solved = played.solved_vertices();

@@ -11,7 +11,7 @@ mod suite;
 
 use super::input_files::{AllowedFolders, folder_of, read_file, read_model};
 use super::output_files::{OutputPermission, is_same_target, spare_companions};
-use super::terminal::{CliFailure, StageSpinner, ThreadArgs, pretty_text, print_text};
+use super::terminal::{CliFailure, StageSpinner, ThreadArgs, pretty_text, print_text, say};
 use crate::check::report::{CaseReport, ShardFacts, SuiteReport, merge_reports, read_report};
 use crate::check::{CaseStatus, Shard, digest_texts, measured_costs, report, split_cases, split_digest};
 use crate::session::store::build_identity;
@@ -90,7 +90,7 @@ fn join_shards(args: &CheckArgs) -> Result<(), CliFailure> {
     let bare = |c: &&CaseReport| !c.digest.is_empty() && c.pictures.is_empty() && c.notes.is_empty();
     let bare = report.cases.iter().filter(bare).count();
     if args.output.wants_pictures() && bare > 0 {
-        eprintln!("note: {bare} cases have no pictures; run the shards with --pictures to include them");
+        say!("note: {bare} cases have no pictures; run the shards with --pictures to include them");
     }
     args.output.write(&report, |_| Ok(Vec::new()))
 }
@@ -217,25 +217,22 @@ impl ReportArgs {
         mut before_case: impl FnMut(usize) -> Result<Vec<String>, CliFailure>,
     ) -> Result<(), CliFailure> {
         let width = report.cases.iter().map(|c| c.name.len()).max().unwrap_or_default();
-        report
-            .notes
-            .iter()
-            .for_each(|note| eprintln!("{}", report::note_line(note)));
+        report.notes.iter().for_each(|note| say!("{}", report::note_line(note)));
         for (k, case) in report.cases.iter().enumerate() {
             let lines = before_case(k)?;
-            eprintln!("{}", report::case_line(case, width));
-            lines.iter().for_each(|line| eprintln!("         {line}"));
+            say!("{}", report::case_line(case, width));
+            lines.iter().for_each(|line| say!("         {line}"));
             let notes = case.notes.iter().map(|note| report::note_line(note));
-            notes.for_each(|note| eprintln!("         {note}"));
+            notes.for_each(|note| say!("         {note}"));
         }
-        eprintln!("{}", report::summary_line(report));
+        say!("{}", report::summary_line(report));
         self.write_files(report)?;
         let Some(text) = failure_text(report) else {
             return Ok(());
         };
         match self.exit_zero {
             true => {
-                eprintln!("{text}");
+                say!("{text}");
                 Ok(())
             }
             false => Err(CliFailure::Check(text)),

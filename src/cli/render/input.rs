@@ -3,7 +3,7 @@
 use crate::asset::{Model, Primitive};
 use crate::cli::drawing::{DrawnShape, NormalChoice};
 use crate::cli::input_files::{in_file, open_model};
-use crate::cli::terminal::{CliFailure, listed};
+use crate::cli::terminal::{CliFailure, listed, say};
 use glam::DVec3;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -26,7 +26,7 @@ impl<'a> ModelToDraw<'a> {
     pub(super) fn wear_materials(&mut self) -> Result<(), CliFailure> {
         let faults = self.shape.wear_materials().map_err(|e| in_file(self.path, e))?;
         for fault in faults {
-            eprintln!("warning: {}: {fault}", self.path.display());
+            say!("warning: {}: {fault}", self.path.display());
         }
         Ok(())
     }

@@ -8,7 +8,7 @@ use super::drawing::{
     CloseUp, NormalChoice, SeenShape, UpAxisChoice, ViewList, bounds_of, parse_close_up, parse_size, parse_views,
 };
 use super::output_files::{OutputPermission, check_ending, spare_companions};
-use super::terminal::{CliFailure, ThreadArgs};
+use super::terminal::{CliFailure, ThreadArgs, say};
 use crate::mesh::BoundingBox;
 use crate::pool::Pool;
 use crate::render::{self, CloseView, Picture, PictureSize, RingMark, SheetShape, ViewDirection, ViewSheet};
@@ -273,7 +273,7 @@ impl RenderArgs {
             [one] => one.display().to_string(),
             several => format!("{} models", several.len()),
         };
-        eprintln!(
+        say!(
             "{drawn} -> {}, {}x{} pixels{more}",
             self.output.display(),
             picture.width(),

@@ -53,7 +53,11 @@ impl BoundingBox {
     /// Whether it lies so far from the origin, for its size, that single precision rounds its places by more than a millionth of its
     /// diagonal: where its largest coordinate is more than 16 diagonals. Map coordinates are, and models in their own coordinates are not.
     pub fn is_far(&self) -> bool {
-        let diagonal = self.diagonal();
+        self.is_far_for(self.diagonal())
+    }
+
+    /// Whether it lies so far from the origin for a model of that diagonal of which it is a part; see [`BoundingBox::is_far`].
+    pub fn is_far_for(&self, diagonal: f64) -> bool {
         diagonal > 0.0 && self.min.abs().max(self.max.abs()).max_element() > FAR * diagonal
     }
 

@@ -35,6 +35,7 @@ pub(super) struct DerivedStructures {
     pub thin: NeedlesAndCaps,
     volume: VolumeMode,
     loose_vertices_ride: bool,
+    riders_keep_sides: bool,
     report: OnceLock<MeshReport>,
     /// The rest surface, once points were carried along with it.
     carry: OnceLock<Arc<CarrySurface>>,
@@ -192,6 +193,7 @@ impl DerivedStructures {
             body,
             volume: options.body.volume,
             loose_vertices_ride: options.loose_vertices_ride,
+            riders_keep_sides: options.riders_keep_sides,
             report: OnceLock::new(),
             carry: OnceLock::new(),
             riders: OnceLock::new(),
@@ -208,7 +210,15 @@ impl DerivedStructures {
 
     /// The rest surface, ready to carry points; built on the first call.
     pub fn carry_surface(&self, pool: &Pool) -> &Arc<CarrySurface> {
-        (self.carry).get_or_init(|| Arc::new(CarrySurface::build(&self.mesh.positions, &self.mesh.triangles, pool)))
+        let build = || {
+            let surface = CarrySurface::build(&self.mesh.positions, &self.mesh.triangles, pool);
+            Arc::new(if self.riders_keep_sides {
+                surface.with_sides()
+            } else {
+                surface
+            })
+        };
+        self.carry.get_or_init(build)
     }
 
     /// Finds what the render vertices of passengers follow, where that is not known yet.

@@ -34,6 +34,9 @@ pub struct OpenOptions {
     /// Whether every cut ends lines beside the surface. Records of the time before lack it: there only one by a plane that keeps one
     /// side did.
     pub every_cut_ends_lines: bool,
+    /// Whether what rides along follows one side alone where parts touch that are not joined, as the halves of a cut do. Records of the
+    /// time before lack it: there it followed both.
+    pub riders_keep_sides: bool,
     /// What else of the model's file follows its shape.
     pub following: Following,
     /// About how many triangles the surface around a model of Gaussian splats has.
@@ -78,6 +81,7 @@ impl Default for OpenOptions {
             passengers: Vec::new(),
             loose_vertices_ride: true,
             every_cut_ends_lines: true,
+            riders_keep_sides: true,
             following: Following::default(),
             cage_triangles: asset::Limits::CAGE_TRIANGLES,
             kept_apart: KeptApart::default(),

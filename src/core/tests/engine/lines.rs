@@ -327,34 +327,64 @@ fn both_halves_of_a_line_go_with_their_halves_of_the_surface() {
     let pool = Pool::new(2).expect("threads");
     let exec = Exec::new(&pool, &Silent);
     let (drawn, indices) = line_along();
-    let mut deformer = open(with_drawn(3, &drawn, &indices), &exec);
-    let cut = Edit::Cut {
-        along: CutLine::Plane(Plane::new([0.0, 1.0, 0.0], 1.6)),
-        keep: KeptSide::Both,
-        fill: true,
-        cap: None,
-    };
-    edit(&mut deformer, &cut, &exec);
     let half = |normal: [f64; 3], offset| Region::HalfSpace(Plane::new(normal, offset));
-    let handles = [
-        Handle::new("low", half([0.0, -1.0, 0.0], -0.3)),
-        Handle::new("high", half([0.0, 1.0, 0.0], 2.7)),
-    ];
-    deformer.set_handles(handles.to_vec(), &exec).expect("handles");
-    let up = HandlePose::translation([0.0, 1.0, 0.0]);
-    let solved = deformer
-        .commit([("high", up)], &SolveSettings::default(), &exec)
-        .expect("solved");
-    let firsts = deformer.facts().primitives.last().expect("two").vertices();
-    let mut heights: Vec<f64> = solved.positions[firsts].iter().map(|p| p.y).collect();
-    heights.sort_by(f64::total_cmp);
-    let wanted = [0.2, 1.15, 1.6, 2.6, 3.8];
-    let off = heights
-        .iter()
-        .zip(wanted)
-        .map(|(a, b)| (a - b).abs())
-        .fold(0.0, f64::max);
-    assert!(heights.len() == 5 && off < 1e-3, "{heights:?}");
+    // How far off the line's heights are after a cut that keeps both halves, and a pose that parts them.
+    let off = |beside: f64, riders_keep_sides: bool| {
+        let drawn: Vec<DVec3> = drawn.iter().map(|p| *p + DVec3::X * beside).collect();
+        let options = OpenOptions {
+            riders_keep_sides,
+            ..OpenOptions::default()
+        };
+        let files = with_drawn(3, &drawn, &indices);
+        let mut deformer = Deformer::open(files, &options, &DeformerLimits::default(), &exec).expect("opened");
+        let cut = Edit::Cut {
+            along: CutLine::Plane(Plane::new([0.0, 1.0, 0.0], 1.6)),
+            keep: KeptSide::Both,
+            fill: true,
+            cap: None,
+        };
+        edit(&mut deformer, &cut, &exec);
+        let handles = [
+            Handle::new("low", half([0.0, -1.0, 0.0], -0.3)),
+            Handle::new("high", half([0.0, 1.0, 0.0], 2.7)),
+        ];
+        deformer.set_handles(handles.to_vec(), &exec).expect("handles");
+        let up = HandlePose::translation([0.0, 1.0, 0.0]);
+        let solved = deformer
+            .commit([("high", up)], &SolveSettings::default(), &exec)
+            .expect("solved");
+        let firsts = deformer.facts().primitives.last().expect("two").vertices();
+        let mut heights: Vec<f64> = solved.positions[firsts].iter().map(|p| p.y).collect();
+        heights.sort_by(f64::total_cmp);
+        let wanted = [0.2, 1.15, 1.6, 2.6, 3.8];
+        assert_eq!(heights.len(), wanted.len(), "{heights:?}");
+        let off = heights.iter().zip(wanted).map(|(a, b)| (a - b).abs());
+        off.fold(0.0, f64::max)
+    };
+    // On the surface, and beside it.
+    for beside in [0.0, 0.2, 0.6] {
+        let off = off(beside, true);
+        assert!(off < 1e-3, "{beside} beside: {off}");
+    }
+    // Sessions of before have it between the halves.
+    assert!(off(0.6, false) > 0.1);
+}
+
+#[test]
+fn a_short_piece_of_a_line_is_no_small_model_far_away() {
+    let pool = Pool::new(1).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let short = [1.9, 1.91].map(|y| DVec3::new(0.8, y, 0.0));
+    let mut files = with_drawn(1, &short, &[0, 1]);
+    let text = String::from_utf8(files.main.to_vec()).expect("text");
+    let far = r#""nodes":[{"mesh":0,"translation":[523417,5274861,412]}]"#;
+    files.main = text.replace(r#""nodes":[{"mesh":0}]"#, far).into();
+    let deformer = open(files, &exec);
+    let moved: Vec<DVec3> = deformer.rest().iter().map(|p| *p + DVec3::splat(0.1)).collect();
+    assert!(moved[0].y > 5e6);
+    let written = deformer.write(&moved, Format::GLTF, &exec).expect("written");
+    let told: Vec<_> = written.warnings.iter().filter(|w| w.code == "places-rounded").collect();
+    assert!(told.is_empty(), "{told:?}");
 }
 
 #[test]

@@ -377,16 +377,20 @@ impl Neighbourhood {
     /// Collects triangles and clusters within reach.
     fn collect_near(&mut self, surface: &CarrySurface, point: DVec3, nearest: &NearestPlace) {
         let reach = REACH * nearest.distance;
+        let side = surface.sides.as_ref().and_then(|sides| sides.beside(nearest.triangle));
         self.waiting.clear();
         self.waiting.push((surface.nodes.len() as u32 - 1, 1.0));
         while let Some((index, share)) = self.waiting.pop() {
             self.visits += 1;
             let node = &surface.nodes[index as usize];
             let distance = node.distance_squared(point).sqrt();
-            if distance >= reach {
+            if distance >= reach || side.is_some_and(|side| side.hides_node(index)) {
                 continue;
             }
-            let merged = share * far_share(node.diagonal, distance * (distance / nearest.distance));
+            let merged = match side {
+                Some(side) if side.divides(index) => 0.0,
+                _ => share * far_share(node.diagonal, distance * (distance / nearest.distance)),
+            };
             if merged > 0.0 {
                 let offset = point - node.center;
                 let away = offset.length().max(nearest.distance);
@@ -410,6 +414,9 @@ impl Neighbourhood {
                     continue;
                 }
                 let triangle = surface.order[place as usize];
+                if side.is_some_and(|side| side.hides(triangle)) {
+                    continue;
+                }
                 let corners = surface.corners(triangle);
                 let (weights, square) = closest_weights_on_triangle(point, corners);
                 let away = square.sqrt().max(nearest.distance);

@@ -19,6 +19,7 @@ mod motion;
 mod packed_lanes;
 mod packed_motion;
 mod packed_points;
+mod sides;
 mod stretch;
 mod triangle_ball;
 

@@ -2,6 +2,7 @@
 //!
 //! The rest surface: a tree whose nodes stand for the triangles below them when seen from far away.
 
+use crate::carry::sides::SurfaceSides;
 use crate::carry::triangle_ball::TriangleBall;
 use crate::measure::BoundingBox;
 use crate::query::TriangleBvh;
@@ -328,6 +329,8 @@ pub struct CarrySurface {
     pub(super) leaves: usize,
     /// Length of the diagonal of the box around all triangles.
     pub(super) diagonal: f64,
+    /// Where points are to follow their own side of a cut alone.
+    pub(super) sides: Option<SurfaceSides>,
 }
 
 /// A node of the tree, as what it is seen as from afar.
@@ -385,6 +388,7 @@ impl CarrySurface {
             nodes: Vec::with_capacity(shape.len()),
             leaves,
             diagonal,
+            sides: None,
         };
         pool.install(|| {
             let area = |&t: &u32| 0.5 * surface.doubled_normal(t).length() + floor;
@@ -407,6 +411,23 @@ impl CarrySurface {
         surface
     }
 
+    /// The same surface, of which points follow one side alone where parts touch that are not joined, as the halves of a cut do: that of the
+    /// nearest triangle.
+    #[must_use]
+    pub fn with_sides(mut self) -> Self {
+        self.sides = SurfaceSides::of(&self.rest, &self.triangles);
+        if let Some(sides) = &mut self.sides {
+            for (index, node) in self.nodes.iter().enumerate() {
+                let children = node.first as usize..(node.first + node.count) as usize;
+                match index < self.leaves {
+                    true => sides.push_leaf(&self.order[children]),
+                    false => sides.push_node(children),
+                }
+            }
+        }
+        self
+    }
+
     /// Number of samples that points can follow: vertices and clusters.
     pub fn samples(&self) -> usize {
         self.rest.len() + self.nodes.len()
@@ -426,6 +447,7 @@ impl CarrySurface {
             + size_of_val(self.balls.as_slice())
             + size_of_val(self.normals.as_slice())
             + size_of_val(self.nodes.as_slice())
+            + self.sides.as_ref().map_or(0, SurfaceSides::byte_size)
     }
 
     /// Where the vertices are in the rest pose.

@@ -289,7 +289,7 @@ async fn as_json(solved: CommittedPose) -> Result<Response, Problem> {
 }
 
 fn as_buffer(mut frames: Vec<pb::Frame>) -> Response {
-    // Positions, then normals, then tangents; parts of one attribute keep their order.
+    // In the order of the enumeration, as the documentation says; parts of one attribute keep theirs.
     frames.sort_by_key(|frame| (frame.attribute, frame.part));
     let parts: Vec<Bytes> = frames.into_iter().map(|frame| frame.data).collect();
     let bytes: usize = parts.iter().map(Bytes::len).sum();

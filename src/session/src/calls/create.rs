@@ -177,6 +177,7 @@ fn new_session(
             loose_vertices_ride: true,
             near_origin: true,
             every_cut_ends_lines: true,
+            riders_keep_sides: true,
             label: record.label.clone(),
             format: opened.deformer.engine.format(),
             graph_bytes: Some(opened.graph_bytes),

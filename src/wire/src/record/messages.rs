@@ -28,6 +28,9 @@ pub(super) struct ModelMessage {
     /// See [`RecordedModel`](super::RecordedModel).
     #[prost(bool, tag = "9")]
     pub every_cut_ends_lines: bool,
+    /// See [`RecordedModel`](super::RecordedModel).
+    #[prost(bool, tag = "10")]
+    pub riders_keep_sides: bool,
 }
 
 /// Files by the names of the objects that hold them.

@@ -24,6 +24,8 @@ pub struct RecordedModel {
     pub near_origin: bool,
     /// Whether every cut ends lines beside the surface, as it does today.
     pub every_cut_ends_lines: bool,
+    /// Whether what rides along follows one side of a cut alone, as it does today.
+    pub riders_keep_sides: bool,
     /// The session's label.
     pub label: String,
     /// The format of its files.
@@ -45,6 +47,7 @@ impl RecordedModel {
             loose_vertices_ride: self.loose_vertices_ride,
             near_origin: self.near_origin,
             every_cut_ends_lines: self.every_cut_ends_lines,
+            riders_keep_sides: self.riders_keep_sides,
         };
         message.encode_to_vec()
     }
@@ -62,6 +65,7 @@ impl RecordedModel {
             loose_vertices_ride: message.loose_vertices_ride,
             near_origin: message.near_origin,
             every_cut_ends_lines: message.every_cut_ends_lines,
+            riders_keep_sides: message.riders_keep_sides,
             label: message.label,
             format: Format::from_name(&message.format)
                 .ok_or_else(|| Error::invalid("model.format", "is not a format"))?,
@@ -80,6 +84,7 @@ impl RecordedModel {
         options.loose_vertices_ride = self.loose_vertices_ride;
         options.body.near_origin = self.near_origin;
         options.every_cut_ends_lines = self.every_cut_ends_lines;
+        options.riders_keep_sides = self.riders_keep_sides;
         if !self.of_today {
             let graph = &mut options.body.graph;
             graph.kind = InteriorKind::Paper;
@@ -110,6 +115,7 @@ mod tests {
             loose_vertices_ride: true,
             near_origin: true,
             every_cut_ends_lines: true,
+            riders_keep_sides: true,
             label: "a label".into(),
             format: Format::OBJ,
             graph_bytes: Some(1 << 40),

@@ -89,7 +89,8 @@ pub(super) fn rounded_places(
     positions: &[DVec3],
     format: Format,
 ) -> Result<Option<WrittenWarning>, Error> {
-    if !BoundingBox::of(positions).is_far() {
+    let whole = BoundingBox::of(positions);
+    if !whole.is_far() {
         return Ok(None);
     }
     for row in &notes.rows {
@@ -99,6 +100,11 @@ pub(super) fn rounded_places(
         };
         let own = positions[row.vertices.clone()].iter().enumerate();
         let in_mesh: Vec<DVec3> = own.map(|(i, p)| mesh_from_world.at(i).transform_point3(*p)).collect();
+        // A short line is not a small model: its places are as exact as those of all others.
+        let scale = libm::cbrt(mesh_from_world.at(0).matrix3.determinant().abs());
+        if !BoundingBox::of(&in_mesh).is_far_for(scale * whole.diagonal()) {
+            continue;
+        }
         let warning = WrittenWarning::rounded(&in_mesh, format);
         if warning.is_some() {
             return Ok(warning);

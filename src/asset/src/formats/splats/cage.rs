@@ -24,6 +24,13 @@ const LARGEST_SHARE: f64 = 0.03;
 const LARGEST_CELLS: f64 = 3.0;
 /// The share of the splats at each end of an axis that may be strays.
 const STRAYS: f64 = 0.002;
+/// How far beside the others strays count, as a share of the extent of those.
+const BESIDE: f64 = 0.25;
+/// Of clouds so small that this share is none, so many splats at each end may be strays, and no more than this part of all,
+const FEW_STRAYS: usize = 4;
+const STRAYS_OF_FEW: usize = 8;
+/// where they are so far off that the others would fill next to no cells.
+const FAR_BESIDE: f64 = 4.0;
 /// Quads for so many splats are enough: with more the surface has holes.
 const SPLATS_PER_QUAD: usize = 2;
 const LEAST_QUADS: usize = 400;
@@ -128,11 +135,14 @@ impl CloudBounds {
             let (Some(first), Some(last)) = (places.first(), places.last()) else {
                 continue;
             };
-            let strays = (places.len() as f64 * STRAYS) as usize;
-            let (low, high) = (places[strays], places[places.len() - 1 - strays]);
-            let beside = 0.25 * (high - low);
-            min[axis] = first.max(low - beside);
-            max[axis] = last.min(high + beside);
+            (min[axis], max[axis]) = (*first, *last);
+            let share = (places.len() as f64 * STRAYS) as usize;
+            let few = FEW_STRAYS.min((places.len() - 1) / STRAYS_OF_FEW);
+            for (strays, beside) in [(share, BESIDE), (few, FAR_BESIDE)] {
+                let (low, high) = (places[strays], places[places.len() - 1 - strays]);
+                min[axis] = min[axis].max(low - beside * (high - low));
+                max[axis] = max[axis].min(high + beside * (high - low));
+            }
         }
         let mut ends: Vec<f64> = seen.iter().map(|splat| splat.ends.max_element()).collect();
         ends.sort_unstable_by(f64::total_cmp);

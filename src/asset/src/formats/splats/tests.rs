@@ -427,3 +427,58 @@ fn texts_and_compressed_clouds_are_refused_as_what_they_are() {
     let error = crate::Model::read(files, None, &Limits::default()).expect_err("compressed");
     assert!(error.to_string().contains("compressed Gaussian splats"), "{error}");
 }
+
+#[test]
+fn a_header_that_claims_more_than_its_file_can_hold_takes_no_memory() {
+    // Sixteen bytes of header in some twenty bytes of gzip: the arrays would be hundreds of gigabytes.
+    let header = |count: u32| {
+        use std::io::Write as _;
+        let words = [0x5053_474e, 2, count, 0x0c_03].map(u32::to_le_bytes);
+        let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
+        encoder.write_all(words.as_flattened()).expect("memory");
+        encoder.finish().expect("memory")
+    };
+    let refusal = |count: u32, limits: &Limits| {
+        let files = FileSet::single("a.spz", header(count));
+        Splats::read(files, Format::SPZ, limits, &Silent).expect_err("refused")
+    };
+    for limits in [Limits::UNLIMITED, Limits::default()] {
+        let error = refusal(u32::MAX, &limits).to_string();
+        assert!(error.contains("bytes of gzip can hold"), "{error}");
+    }
+    // What the file could hold is refused by what may be held, before it is unpacked.
+    let limits = Limits {
+        decoded_bytes: 1 << 10,
+        ..Limits::default()
+    };
+    let error = refusal(100, &limits);
+    assert!(matches!(error, Error::TooLarge { limit: 1024, .. }), "{error}");
+    assert!(refusal(100, &Limits::default()).to_string().contains("it holds 16"));
+}
+
+#[test]
+fn splats_far_off_leave_the_cage_of_the_others_as_it_is() {
+    let cage = |count: usize, far: &[(usize, f32)]| {
+        let mut file = ply_of(count, 0);
+        let end = file.windows(11).position(|w| w == b"end_header\n").expect("a header") + 11;
+        let stride = (file.len() - end) / count;
+        for &(row, x) in far {
+            file[end + row * stride..][..4].copy_from_slice(&x.to_le_bytes());
+        }
+        let model = crate::Model::read(FileSet::single("a.ply", file), None, &Limits::default()).expect("readable");
+        let used = model.triangles.as_flattened().iter();
+        let reach = used
+            .map(|&v| model.positions[v as usize].abs().max_element())
+            .fold(0.0, f64::max);
+        (model.triangles.len(), reach)
+    };
+    for count in [40, 300, 3000] {
+        let (triangles, reach) = cage(count, &[]);
+        for far in [&[(0, 3e5)][..], &[(0, -1e30), (7, 2e9)]] {
+            let with_far = cage(count, far);
+            let ratio = with_far.0 as f64 / triangles as f64;
+            assert!((0.5..2.0).contains(&ratio), "{count}: {triangles} and {with_far:?}");
+            assert!(with_far.1 < 2.0 * reach, "{count}: {reach} and {with_far:?}");
+        }
+    }
+}

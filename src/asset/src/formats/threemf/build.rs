@@ -12,14 +12,21 @@ use std::collections::BTreeMap;
 const CORE: &str = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02";
 const RELATIONS: &str = "http://schemas.openxmlformats.org/package/2006/relationships";
 const MODEL: &str = "3D/3dmodel.model";
+const WHITE: [f32; 4] = [1.0; 4];
 
 /// Adds the objects of a neutral model. `with_pictures`: whether the package is a fresh one, which pictures are added to.
 pub(super) fn push_neutral(text: &mut PartText, neutral: &NeutralModel, with_pictures: bool) -> Result<(), Error> {
     let mut table = NeutralLooks::default();
     let filled = neutral.primitives().filter(|own| !own.triangles.is_empty());
-    let filled: Vec<NeutralPrimitive<'_>> = filled.collect();
     // Parts of one surface are one object, which is closed where the surface is.
-    for parts in filled.chunk_by(|a, b| a.attributes.of_run == b.attributes.of_run) {
+    let mut objects: Vec<Vec<NeutralPrimitive<'_>>> = Vec::new();
+    let mut place_of = BTreeMap::new();
+    for own in filled {
+        let place = *place_of.entry(own.attributes.of_object).or_insert(objects.len());
+        objects.resize_with(objects.len().max(place + 1), Vec::new);
+        objects[place].push(own);
+    }
+    for parts in &objects {
         push_object(text, neutral, parts, &mut table, with_pictures)?;
     }
     table.finish(text);
@@ -66,13 +73,20 @@ fn push_object(
     Ok(())
 }
 
+/// Whether vertices of triangles have a colour that shows; white leaves materials as they are.
+fn has_colours(neutral: &NeutralModel, own: &NeutralPrimitive<'_>) -> bool {
+    let colour = |v: &u32| neutral.colours.get(*v as usize).copied().unwrap_or(WHITE);
+    let mut corners = own.triangles.as_flattened().iter();
+    own.attributes.has_colours && corners.any(|v| bytes_of(colour(v)) != bytes_of(WHITE))
+}
+
 /// What the triangles of a neutral primitive have.
 enum NeutralProperty {
     None,
     /// A place in the table of materials.
     Material(u32, u32),
-    /// Colours by vertex, in the group of that number.
-    Colours(u32),
+    /// Colours by vertex, in the group of that number, each times the colour of the material.
+    Colours(u32, [f32; 4]),
     /// Texture coordinates, in the group of that number at that place of the list of groups.
     Picture(u32, usize),
 }
@@ -106,11 +120,16 @@ impl NeutralLooks {
     ) -> Result<NeutralProperty, Error> {
         let look = own.attributes.material.as_ref();
         let picture = look.and_then(|m| m.look.as_ref()?.picture.as_ref());
+        let colour = look.and_then(|m| m.look.as_ref()).map_or(WHITE, |look| look.colour);
         let has_uv = neutral.uv_at(own, 0).is_some();
+        let has_colours = has_colours(neutral, own);
         if let Some(picture) = picture.filter(|_| has_uv) {
             if let Some(kind) = picture_kind(picture).filter(|_| with_pictures) {
-                if own.attributes.has_colours {
+                if has_colours {
                     text.lost.insert("colours of vertices under a picture".into());
+                }
+                if bytes_of(colour) != bytes_of(WHITE) {
+                    text.lost.insert("colours of materials under a picture".into());
                 }
                 return self.picture(text, picture, kind);
             }
@@ -119,13 +138,17 @@ impl NeutralLooks {
         } else if has_uv {
             text.lost.insert("texture coordinates without a picture".into());
         }
-        if own.attributes.has_colours {
+        if has_colours {
+            if look.is_some() {
+                text.lost
+                    .insert("materials of vertices with colours (their colours are multiplied)".into());
+            }
             let id = match self.colours {
                 Some(id) => id,
                 None => text.take_id()?,
             };
             self.colours = Some(id);
-            return Ok(NeutralProperty::Colours(id));
+            return Ok(NeutralProperty::Colours(id, colour));
         }
         let Some(material) = look else {
             return Ok(NeutralProperty::None);
@@ -235,9 +258,10 @@ impl NeutralProperty {
         match *self {
             Self::None => None,
             Self::Material(id, place) => Some((id, [place; 3])),
-            Self::Colours(id) => {
+            Self::Colours(id, material) => {
                 let of = |v: u32| {
-                    let colour = neutral.colours.get(v as usize).copied().unwrap_or([1.0; 4]);
+                    let own = neutral.colours.get(v as usize).copied().unwrap_or(WHITE);
+                    let colour: [f32; 4] = std::array::from_fn(|k| own[k] * material[k]);
                     let next = table.of_colours.len() as u32;
                     *table.of_colours.entry(bytes_of(colour)).or_insert(next)
                 };

@@ -123,6 +123,7 @@ struct CornerLooks {
     colours: Vec<[f32; 4]>,
     uv: Vec<[f32; 2]>,
     has_colours: Vec<bool>,
+    has_uv: Vec<bool>,
 }
 
 fn corner_looks(edited: &EditedModel<'_>, run: &PrimitiveRun, properties: &UseProperties<'_>) -> CornerLooks {
@@ -133,6 +134,7 @@ fn corner_looks(edited: &EditedModel<'_>, run: &PrimitiveRun, properties: &UsePr
             colours: vec![[1.0; 4]; 3 * count],
             uv: vec![[0.0; 2]; 3 * count],
             has_colours: vec![false; count],
+            has_uv: vec![false; count],
         };
     }
     let origins = RunOrigins::new(edited, run, properties);
@@ -179,6 +181,7 @@ fn corner_looks(edited: &EditedModel<'_>, run: &PrimitiveRun, properties: &UsePr
         }
         looks.keys.push(key);
         looks.has_colours.push(has_colours);
+        looks.has_uv.push(matches!(group, Some(PropertyGroup::Picture(..))));
     }
     looks
 }
@@ -213,7 +216,7 @@ pub(super) fn seam_parts(edited: &EditedModel<'_>, run: &PrimitiveRun) -> Option
 
 /// The part that has these triangles; `used` are its vertices in rising order. Copies for further colours and coordinates follow them.
 fn part_of(local: &[[u32; 3]], looks: &CornerLooks, used: Vec<u32>, triangles: Vec<u32>) -> RunPart {
-    let with_uv = triangles.iter().any(|&t| looks.keys[t as usize].is_some());
+    let with_uv = triangles.iter().any(|&t| looks.has_uv[t as usize]);
     let with_colours = triangles.iter().any(|&t| looks.has_colours[t as usize]);
     let first = used.len();
     let mut taken: Vec<Option<[u32; 6]>> = vec![None; first];

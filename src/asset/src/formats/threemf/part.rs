@@ -336,7 +336,8 @@ impl PartReader<'_, '_> {
             };
             let Some(prefix) = prefix else { continue };
             let uri = attribute.value.as_ref();
-            let space = if uri.contains("/core/") {
+            // The preliminary version of 2013 has one namespace for all.
+            let space = if uri.contains("/core/") || uri.ends_with("/3dmanufacturing/2013/01") {
                 Space::Core
             } else if uri.contains("/material/") {
                 Space::Materials
@@ -438,7 +439,8 @@ impl PartReader<'_, '_> {
                 Ok(())
             }
             "base" | "color" | "tex2coord" => self.property(element, local),
-            "compositematerials" | "multiproperties" => {
+            // The last two are those of the preliminary version.
+            "compositematerials" | "multiproperties" | "material" | "texture" => {
                 self.note_foreign(element);
                 Ok(())
             }
@@ -472,6 +474,7 @@ impl PartReader<'_, '_> {
 
     fn property(&mut self, element: &BytesStart<'_>, local: &str) -> Result<(), PartFault> {
         let Some((_, group)) = &mut self.group else {
+            self.note_foreign(element);
             return Ok(());
         };
         match (group, local) {

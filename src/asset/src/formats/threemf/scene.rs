@@ -127,6 +127,12 @@ impl PrintScene {
         self.parts.get(part)?.groups.get(&id)
     }
 
+    /// Names of elements that are not read.
+    fn foreign(&self) -> BTreeSet<&str> {
+        let all = self.parts.iter().flat_map(|part| &part.foreign);
+        all.map(String::as_str).collect()
+    }
+
     /// All uses of meshes, in the order of the build.
     fn uses(&self) -> Result<Vec<MeshUse>, Error> {
         let mut walk = UseWalk {
@@ -243,6 +249,13 @@ pub(super) fn read(files: &FileSet, watch: &ReadWatch<'_>) -> Result<(Geometry, 
             ..Primitive::default()
         });
     }
+    let foreign = listed(scene.foreign());
+    if geometry.triangles.is_empty() && !foreign.is_empty() {
+        return Err(Error::NoMesh {
+            format: FORMAT,
+            problem: format!("what is built has no triangles of its own, and is not read: {foreign}"),
+        });
+    }
     add_warnings(&scene, &uses, &mut geometry);
     let mut scene = scene;
     let objects = scene.parts.iter_mut().flat_map(|part| part.objects.values_mut());
@@ -297,28 +310,22 @@ fn add_warnings(scene: &PrintScene, uses: &[MeshUse], geometry: &mut Geometry) {
     }
     let missing = missing_pictures(scene);
     if !missing.is_empty() {
-        let names: Vec<&str> = missing.iter().map(String::as_str).take(MOST_LISTED).collect();
-        let more = if missing.len() > MOST_LISTED { " and others" } else { "" };
-        let message = format!(
-            "pictures that the package lacks, or that are neither PNG nor JPEG: {}{more}",
-            names.join(", ")
-        );
+        let names = listed(missing.iter().map(String::as_str).collect());
+        let message = format!("pictures that the package lacks, or that are neither PNG nor JPEG: {names}");
         geometry.warn("image-missing", message, &root.name);
     }
-    let foreign: BTreeSet<&str> = scene
-        .parts
-        .iter()
-        .flat_map(|p| p.foreign.iter().map(String::as_str))
-        .collect();
+    let foreign = listed(scene.foreign());
     if !foreign.is_empty() {
-        let names: Vec<&str> = foreign.iter().copied().take(MOST_LISTED).collect();
-        let more = if foreign.len() > MOST_LISTED { " and others" } else { "" };
-        let message = format!(
-            "not read: {}{more}; they stay in the file as they are until an edit rewrites it",
-            names.join(", ")
-        );
+        let message = format!("not read: {foreign}; they stay in the file as they are until an edit rewrites it");
         geometry.warn("extension-not-read", message, &root.name);
     }
+}
+
+/// The first of some names, with a word for the others.
+fn listed<'n>(names: BTreeSet<&'n str>) -> String {
+    let more = if names.len() > MOST_LISTED { " and others" } else { "" };
+    let first: Vec<&'n str> = names.into_iter().take(MOST_LISTED).collect();
+    format!("{}{more}", first.join(", "))
 }
 
 /// The pictures that groups of texture coordinates name and that are none, each by its part or the number of its resource.
@@ -378,9 +385,7 @@ pub(super) fn stale_parts(package: &Package<'_>, notes: &PrintNotes) -> Option<W
             .any(|end| lower.ends_with(end));
         is_picture && !textures.contains(name)
     };
-    let stale: Vec<&str> = package.beside(&models).into_iter().filter(is_stale).collect();
-    let more = if stale.len() > MOST_LISTED { " and others" } else { "" };
-    let names = stale.iter().copied().take(MOST_LISTED).collect::<Vec<_>>().join(", ");
-    let message = format!("parts beside the model are as uploaded and may show what it was: {names}{more}");
-    (!stale.is_empty()).then(|| WrittenWarning::new("extension-kept", message, ""))
+    let names = listed(package.beside(&models).into_iter().filter(is_stale).collect());
+    let message = format!("parts beside the model are as uploaded and may show what it was: {names}");
+    (!names.is_empty()).then(|| WrittenWarning::new("extension-kept", message, ""))
 }

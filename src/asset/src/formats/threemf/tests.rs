@@ -235,6 +235,23 @@ fn materials_and_colours_go_into_other_formats_and_back() {
     }
 }
 
+/// A glTF of several nodes with a mesh of one primitive each, as one node with one mesh of all primitives.
+fn as_one_mesh(written: crate::WrittenFiles) -> Model {
+    let mut document: serde_json::Value = serde_json::from_slice(&written.main).expect("JSON");
+    let meshes = document["meshes"].as_array().expect("meshes");
+    let primitives: Vec<_> = meshes.iter().map(|mesh| mesh["primitives"][0].clone()).collect();
+    document["meshes"] = serde_json::json!([{ "primitives": primitives }]);
+    document["nodes"] = serde_json::json!([{ "mesh": 0 }]);
+    document["scenes"] = serde_json::json!([{ "nodes": [0] }]);
+    let mut files = FileSet::single("a.gltf", document.to_string());
+    files.companions = written
+        .companions
+        .into_iter()
+        .map(|(name, bytes)| (name, bytes.into()))
+        .collect();
+    Model::read(files, None, &Limits::default()).expect("readable")
+}
+
 #[test]
 fn a_surface_of_several_materials_is_one_object_and_formats_without_materials_say_so() {
     let object = |material: [&str; 3], library: &str| {
@@ -263,6 +280,19 @@ fn a_surface_of_several_materials_is_one_object_and_formats_without_materials_sa
         (1, 5),
         "{text}"
     );
+    let gltf = as_one_mesh(plain.write(&plain.positions, Format::GLTF).expect("writable"));
+    assert_eq!(gltf.primitives.len(), 3);
+    let from_gltf = gltf.write(&gltf.positions, Format::THREE_MF).expect("writable").main;
+    let from_gltf = part_of(&from_gltf, "3D/3dmodel.model");
+    assert_eq!(
+        (
+            from_gltf.matches("<object").count(),
+            from_gltf.matches("<vertex ").count()
+        ),
+        (1, 5),
+        "{from_gltf}"
+    );
+    assert_eq!(from_gltf.matches("<base ").count(), 3, "{from_gltf}");
     let model = read(written).expect("readable");
     assert_eq!(
         (&model.triangles, &model.positions),
@@ -314,6 +344,77 @@ fn a_surface_of_several_materials_is_one_object_and_formats_without_materials_sa
         .expect("writable")
         .warnings;
     assert_eq!(stl[0].message, "the stl file has not: colours of vertices");
+}
+
+#[test]
+fn colours_of_vertices_and_materials_both_show() {
+    let object = |colour: &str| {
+        let text = format!(
+            "mtllib a.mtl\nv 0 0 0 {colour}\nv 1 0 0 1 1 1\nv 0 1 0 1 1 1\nv 0 0 1 1 1 1\nusemtl leaf\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+        );
+        let mut files = FileSet::single("a.obj", text);
+        files.companions = [("a.mtl".to_owned(), "newmtl leaf\nKd 0 1 0\n".into())].into();
+        let model = Model::read(files, None, &Limits::default()).expect("readable");
+        let written = model.write(&model.positions, Format::THREE_MF).expect("writable");
+        let told: Vec<String> = written.warnings.iter().map(|w| w.message.clone()).collect();
+        (part_of(&written.main, "3D/3dmodel.model"), told.concat())
+    };
+    let (text, told) = object("1 .6 0");
+    for colour in ["#009900", "#00FF00"] {
+        assert!(text.contains(&format!(r#"<m:color color="{colour}"/>"#)), "{text}");
+    }
+    assert!(told.contains("materials of vertices with colours"), "{told}");
+    // White says nothing, so the material stays what it is.
+    let (text, told) = object("1 1 1");
+    assert!(
+        text.contains(r##"<base name="leaf" displaycolor="#00FF00"/>"##),
+        "{text}"
+    );
+    assert!(told.is_empty(), "{told}");
+}
+
+#[test]
+fn materials_are_no_texture_coordinates() {
+    let model = read(two_objects()).expect("readable");
+    for format in [Format::PLY, Format::STL, Format::OFF] {
+        let written = model.write(&model.positions, format).expect("writable");
+        let told: Vec<&str> = written.warnings.iter().map(|w| w.message.as_str()).collect();
+        assert!(
+            told.concat().contains("2 materials") && !told.concat().contains("coordinates"),
+            "{told:?}"
+        );
+    }
+}
+
+#[test]
+fn what_another_program_calls_a_3mf_is_read_or_named() {
+    // The preliminary version of 2013, which a program of Windows 8 writes.
+    let preliminary = format!(
+        r##"<model unit="millimeter" xmlns="http://schemas.microsoft.com/3dmanufacturing/2013/01"><resources><color id="0" value="#FF0000"/>
+<material id="1" name="red" colorid="0"/><object id="2" materialid="1">{}</object></resources><build><item objectid="2"/></build></model>"##,
+        tetrahedron(["", r#" colorid="0""#, "", ""])
+    );
+    let model = read(pack(&[("3D/a.model".to_owned(), preliminary.clone().into())]).expect("a package"));
+    let model = model.expect("readable");
+    assert_eq!((model.positions.len(), model.triangles.len()), (4, 4));
+    let told = model.warnings.iter().find(|w| w.0 == "extension-not-read");
+    assert!(
+        told.is_some_and(|w| w.1.contains("color, material")),
+        "{:?}",
+        model.warnings
+    );
+    let mut moved = model.positions.clone();
+    moved[2].y = 7.0;
+    let written = model.write(&moved, Format::THREE_MF).expect("writable");
+    assert_eq!(
+        part_of(&written.main, "3D/a.model"),
+        preliminary.replace(r#"y="2.50""#, r#"y="7""#)
+    );
+
+    // What is built has its shape from an extension alone.
+    let shape = r#"<object id="1"><b:booleanshape xmlns:b="urn:b" objectid="2"/></object>"#;
+    let error = read(package(shape, r#"<item objectid="1"/>"#, &[])).expect_err("no mesh");
+    assert!(error.to_string().contains("not read: b:booleanshape"), "{error}");
 }
 
 #[test]

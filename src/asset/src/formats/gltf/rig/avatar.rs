@@ -10,13 +10,13 @@ use super::super::document::GltfDocument;
 use super::super::placement::{SkinPose, invert};
 use super::super::scene::PlacedScene;
 use super::super::text::{
-    JsonEdits, index_of, json_array, json_object, list_of, string_of, value_at, value_of, with_member,
+    JsonEdits, index_of, json_array, json_object, list_of, members, string_of, value_at, value_of, with_member,
 };
 use super::motions::{SkinnedShape, fits_at};
 use super::nodes::MovedNodes;
 use glam::DVec3;
 use pliant_mesh::BoundingBox;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// The extensions of which lengths follow.
@@ -65,6 +65,47 @@ pub(in super::super) fn extensions_with_materials(doc: &GltfDocument<'_>, added:
     let list = json_array(stored.chain(added.iter().map(plain)));
     let vrm = with_member(vrm, "materialProperties", list);
     Some(with_member(value_of(doc.text, "extensions")?, MEASURED[0], vrm))
+}
+
+/// The nodes that a document calls bones of its avatar: of the body, and of chains that swing. Most are joints of skins.
+pub(super) fn bones(doc: &GltfDocument<'_>) -> BTreeSet<usize> {
+    let [vrm, core, springs] = MEASURED.map(|name| extension(doc, name));
+    let node = |bone: &str| index_of(bone, "node");
+    let mut bones = BTreeSet::new();
+    let body = vrm.and_then(|vrm| value_of(vrm, "humanoid"));
+    bones.extend(
+        body.into_iter()
+            .flat_map(|body| list_of(body, "humanBones"))
+            .filter_map(node),
+    );
+    let groups = vrm.and_then(|vrm| value_of(vrm, "secondaryAnimation"));
+    let roots = groups.into_iter().flat_map(|groups| list_of(groups, "boneGroups"));
+    let roots = roots.flat_map(|group| list_of(group, "bones"));
+    bones.extend(chain(doc, roots.filter_map(|bone| bone.parse().ok()).collect()));
+    let body = core.and_then(|core| value_at(core, &["humanoid", "humanBones"]));
+    let named = body.and_then(|body| members(body).ok()).unwrap_or_default();
+    bones.extend(named.iter().filter_map(|bone| node(bone.value)));
+    let chains = springs.into_iter().flat_map(|springs| list_of(springs, "springs"));
+    let links = chains.flat_map(|spring| list_of(spring, "joints"));
+    bones.extend(links.filter_map(node));
+    bones
+        .into_iter()
+        .filter(|bone| *bone < doc.nodes.len())
+        .take(MOST_PLACES)
+        .collect()
+}
+
+/// Nodes and all below them, as far as places are looked at.
+fn chain(doc: &GltfDocument<'_>, mut open: Vec<usize>) -> Vec<usize> {
+    let mut nodes = Vec::new();
+    while let Some(node) = open.pop()
+        && nodes.len() <= MOST_PLACES
+    {
+        nodes.push(node);
+        let children = doc.nodes.get(node).map_or(&[][..], |node| &node.children);
+        open.extend(children.iter().map(|child| child.index()));
+    }
+    nodes
 }
 
 /// How a point is written.
@@ -230,25 +271,16 @@ impl<'a> Measures<'_, 'a> {
         }
         for group in list_of(secondary, "boneGroups") {
             let bones = list_of(group, "bones").into_iter().filter_map(|bone| bone.parse().ok());
-            let places = self.chain(bones.collect());
-            self.add_length(group, "hitRadius", places);
-        }
-    }
-
-    /// Nodes and all below them.
-    fn chain(&self, mut open: Vec<usize>) -> Vec<AvatarPlace> {
-        let mut places = Vec::new();
-        while let Some(node) = open.pop()
-            && self.places.max(places.len()) <= MOST_PLACES
-        {
-            places.push(AvatarPlace {
+            if self.places > MOST_PLACES {
+                continue;
+            }
+            let at_node = |node| AvatarPlace {
                 node,
                 local: DVec3::ZERO,
-            });
-            let children = self.doc.nodes.get(node).map_or(&[][..], |node| &node.children);
-            open.extend(children.iter().map(|child| child.index()));
+            };
+            let places = chain(self.doc, bones.collect()).into_iter().map(at_node);
+            self.add_length(group, "hitRadius", places.collect());
         }
-        places
     }
 
     fn add_springs(&mut self, springs: &'a str) {

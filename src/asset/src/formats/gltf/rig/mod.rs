@@ -129,9 +129,10 @@ impl FollowedNodeTree {
         let followed: BTreeMap<usize, Arc<SkinPose>> = followed.map(|(skin, pose)| (*skin, Arc::clone(pose))).collect();
         let still = |pose: &Arc<SkinPose>| -> Vec<_> { pose.joints.iter().map(|&joint| (joint, None)).collect() };
         let rig = followers.rules.rig;
+        let bones = avatar::bones(doc);
         let mut motions = match rig {
-            RigRule::Follow => joint_motions(shape, &followed, &scene, !avatar::is_vrm0(doc)),
-            RigRule::Move => joint_motions(shape, &followed, &scene, false),
+            RigRule::Follow => joint_motions(shape, &followed, &bones, &scene, !avatar::is_vrm0(doc)),
+            RigRule::Move => joint_motions(shape, &followed, &bones, &scene, false),
             // They stay where they are, even under a node that goes.
             RigRule::Keep => followed.values().flat_map(still).collect(),
         };

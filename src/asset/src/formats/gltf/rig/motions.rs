@@ -167,14 +167,17 @@ struct JointFits<'a> {
     size: f64,
 }
 
-/// How the joints of these skins move in a scene, and turn where they `may_turn`.
+/// How the joints of these skins move in a scene, and turn where they `may_turn`. `bones` are nodes that move like joints without
+/// vertices where they are none.
 pub(super) fn joint_motions(
     shape: &SkinnedShape<'_>,
     poses: &BTreeMap<usize, Arc<SkinPose>>,
+    bones: &BTreeSet<usize>,
     scene: &PlacedScene,
     may_turn: bool,
 ) -> NodeMotions {
     let nodes: BTreeSet<usize> = poses.values().flat_map(|pose| &pose.joints).copied().collect();
+    let bones: Vec<usize> = bones.difference(&nodes).copied().collect();
     let place = |node: &usize| JointFit::at(scene.world_from_node[*node].translation);
     let mut fits = JointFits {
         list: nodes.iter().map(place).collect(),
@@ -185,7 +188,8 @@ pub(super) fn joint_motions(
     fits.find_below(&scene.parents);
     fits.find_nearest(shape);
     fits.look_at_held(shape);
-    fits.look_at_surface(shape);
+    let mut loose: Vec<JointFit> = bones.iter().map(place).collect();
+    look_at_surface(fits.list.iter_mut().chain(&mut loose), shape, fits.size);
     let mut all = MotionMoments::default();
     for (&p, &q) in shape.before.iter().zip(shape.now) {
         all.add(1.0, p - shape.before[0], q - p);
@@ -193,8 +197,17 @@ pub(super) fn joint_motions(
     // Twice, so that the hint of the first, that nothing has turned, leaves no trace.
     let roughly = DMat3::from_quat(all.rotation(&DMat3::IDENTITY));
     let whole = DMat3::from_quat(all.rotation(&roughly));
-    let motions = fits.list.iter().map(|fit| fit.motion(&whole, fits.size, may_turn));
-    fits.numbers.into_keys().zip(motions).collect()
+    let all = fits.list.iter().chain(&loose);
+    let motions = all.map(|fit| fit.motion(&whole, fits.size, may_turn));
+    fits.numbers.into_keys().chain(bones).zip(motions).collect()
+}
+
+/// Looks at the surface around joints that hold nothing.
+fn look_at_surface<'f>(fits: impl Iterator<Item = &'f mut JointFit>, shape: &SkinnedShape<'_>, size: f64) {
+    let mut loose: Vec<&mut JointFit> = fits.filter(|fit| fit.held == 0).collect();
+    let pairs = (loose.len() as u64).saturating_mul(shape.before.len() as u64);
+    let step = 1 + usize::try_from(pairs / MOST_PAIRS).unwrap_or(usize::MAX - 1);
+    loose.iter_mut().for_each(|fit| fit.look_around(shape, step, size));
 }
 
 impl JointFits<'_> {
@@ -257,15 +270,6 @@ impl JointFits<'_> {
                 }
             }
         }
-    }
-
-    /// Looks at the surface around joints that hold nothing.
-    fn look_at_surface(&mut self, shape: &SkinnedShape<'_>) {
-        let size = self.size;
-        let mut loose: Vec<&mut JointFit> = self.list.iter_mut().filter(|fit| fit.held == 0).collect();
-        let pairs = (loose.len() as u64).saturating_mul(shape.before.len() as u64);
-        let step = 1 + usize::try_from(pairs / MOST_PAIRS).unwrap_or(usize::MAX - 1);
-        loose.iter_mut().for_each(|fit| fit.look_around(shape, step, size));
     }
 }
 
