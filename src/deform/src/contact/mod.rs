@@ -263,7 +263,8 @@ impl<'a> Parting<'a> {
         }
     }
 
-    /// Looks at the region displaced. Answers its crossings, and keeps it where it is the best so far; `None` where nearly all faces overlap.
+    /// Looks at the region displaced. Answers its crossings, and keeps it where it is the best so far; `None` where nearly all faces
+    /// overlap.
     fn look(&mut self, moved: &[DVec3], knowledge: &Knowledge, exec: &Exec<'_>) -> Result<Option<Crossed>, Cancelled> {
         let at = displaced(self.base, &self.region, moved);
         let Some(pairs) = self.surface.crossings(&at, Some(&self.region.is_near), exec)? else {
