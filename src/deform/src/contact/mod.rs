@@ -75,7 +75,7 @@ const CONTOUR_STYLE: PartingStyle = PartingStyle {
 const CONTOUR_ROUNDS: usize = 30;
 /// and how far surfaces go apart in each, median edges.
 const CONTOUR_STEP: f64 = 0.3;
-/// What part of the displacement so far is looked for anew in each, so that what is no longer needed goes.
+/// What part of the displacement so far is solved for again in each, so that what is no longer needed goes.
 const CONTOUR_BACK: f64 = 0.1;
 /// A kind of parting is given up after so many rounds without fewer pairs.
 const PATIENCE: usize = 8;
