@@ -1,6 +1,6 @@
 //! Commits that keep surfaces from crossing.
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use pliant_core::asset::{FileSet, shapes};
 use pliant_core::engine::{
     Contact, Deformer, DeformerLimits, Handle, HandlePose, HandleRotation, ModelShape, OpenOptions, Region,
@@ -13,16 +13,45 @@ use pliant_core::progress::Silent;
 
 const AVOIDED: Contact = Contact::Avoided { clearance: None };
 
+/// A model of some shapes, each moved, without anything that ties them.
+fn model_of(parts: &[(&shapes::Shape, DVec3)]) -> FileSet {
+    let (mut text, mut first) = (String::new(), 1);
+    for ((points, triangles), by) in parts {
+        for p in points.iter().map(|p| *p + *by) {
+            text += &format!("v {} {} {}\n", p.x as f32, p.y as f32, p.z as f32);
+        }
+        for [a, b, c] in triangles.iter().map(|t| t.map(|v| v + first)) {
+            text += &format!("f {a} {b} {c}\n");
+        }
+        first += points.len() as u32;
+    }
+    FileSet::single("parts.obj", text)
+}
+
 /// A closed tube along z from 0 to 4.
 fn tube(around: usize, along: usize) -> FileSet {
-    let (points, triangles) = shapes::cylinder(0.5, 4.0, around, along, true);
-    let points = points
-        .iter()
-        .map(|p| format!("v {} {} {}\n", p.x as f32, p.y as f32, p.z as f32));
-    let triangles = triangles
-        .iter()
-        .map(|[a, b, c]| format!("f {} {} {}\n", a + 1, b + 1, c + 1));
-    FileSet::single("tube.obj", points.chain(triangles).collect::<String>())
+    model_of(&[(&shapes::cylinder(0.5, 4.0, around, along, true), DVec3::ZERO)])
+}
+
+/// Two parts, of which handles hold a region each.
+fn two_parts(parts: &[(&shapes::Shape, DVec3); 2], held: [Region; 2], exec: &Exec<'_>) -> Deformer {
+    let mut options = OpenOptions::default();
+    options.body.ties = None;
+    let mut deformer = Deformer::open(model_of(parts), &options, &DeformerLimits::default(), exec).expect("a model");
+    let [still, pushed] = held;
+    let handles = [Handle::new("still", still), Handle::new("pushed", pushed)];
+    deformer.set_handles(handles.to_vec(), exec).expect("right handles");
+    deformer
+}
+
+/// Moves what the second handle of two parts holds.
+fn pushed(deformer: &mut Deformer, by: DVec3, contact: Contact, exec: &Exec<'_>) -> ModelShape {
+    let settings = SolveSettings {
+        contact,
+        ..SolveSettings::default()
+    };
+    let pose = HandlePose::translation(by.to_array());
+    deformer.commit([("pushed", pose)], &settings, exec).expect("a shape")
 }
 
 /// A tube of which handles hold both ends, up to `held` from each.
@@ -114,6 +143,74 @@ fn the_same_pose_has_the_same_bits_for_any_number_of_threads() {
         bent(&mut deformer, 150.0, AVOIDED, &exec).positions
     });
     assert!(shapes.iter().all(|shape| *shape == shapes[0]));
+}
+
+#[test]
+fn balls_that_are_pressed_together_flatten_each_other() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let ball = shapes::icosphere(1.0, 3);
+    let turned: Vec<DVec3> = ball.0.iter().map(|p| DQuat::from_rotation_z(0.7) * *p).collect();
+    let other = (turned, ball.1.clone());
+    let halves = [
+        Region::half_space([-1.0, 0.0, 0.0], 0.3),
+        Region::half_space([1.0, 0.0, 0.0], 3.3),
+    ];
+    let mut deformer = two_parts(&[(&ball, DVec3::ZERO), (&other, DVec3::X * 3.0)], halves, &exec);
+    for deep in [0.05, 0.1, 0.2] {
+        let by = DVec3::NEG_X * (1.0 + deep);
+        let [without, with] = [Contact::Ignored, AVOIDED].map(|contact| pushed(&mut deformer, by, contact, &exec));
+        assert!(new_pairs(&deformer, &without, &exec) > 20, "{deep}");
+        assert_eq!(new_pairs(&deformer, &with, &exec), 0, "{deep}");
+        // Half of the way on each side.
+        let ends = with.positions.split_at(ball.0.len());
+        let most = ends.0.iter().map(|p| p.x).fold(f64::MIN, f64::max);
+        let least = ends.1.iter().map(|p| p.x).fold(f64::MAX, f64::min);
+        let middle = 1.0 - deep / 2.0;
+        assert!(
+            (most - middle).abs() < 0.4 * deep && (least - middle).abs() < 0.4 * deep,
+            "{deep}: {most} {least}"
+        );
+    }
+}
+
+#[test]
+fn an_open_sheet_gives_way_to_a_ball_from_either_side() {
+    let ball = shapes::icosphere(0.4, 3);
+    let sheet = shapes::grid(2.0, 2.0, [24, 24]);
+    let middle = DVec3::new(1.0, 0.0, 1.0);
+    let is_border = |p: &DVec3| (*p - middle).abs().max_element() > 0.95;
+    let border: Vec<u32> = (0u32..)
+        .zip(&sheet.0)
+        .filter(|(_, p)| is_border(p))
+        .map(|(v, _)| v)
+        .collect();
+    let first = sheet.0.len() as u32;
+    let list = |indices: Vec<u32>| Region::Vertices {
+        indices,
+        ranges: Vec::new(),
+    };
+    for side in [1.0, -1.0] {
+        let shapes = [1, 4].map(|threads| {
+            let pool = Pool::new(threads).expect("threads");
+            let exec = Exec::new(&pool, &Silent);
+            let whole = (first..first + ball.0.len() as u32).collect();
+            let parts = [(&sheet, DVec3::ZERO), (&ball, middle + DVec3::new(0.03, side, 0.02))];
+            let mut deformer = two_parts(&parts, [list(border.clone()), list(whole)], &exec);
+            let by = DVec3::Y * (-0.8 * side);
+            let [without, with] = [Contact::Ignored, AVOIDED].map(|contact| pushed(&mut deformer, by, contact, &exec));
+            assert!(new_pairs(&deformer, &without, &exec) > 50, "from {side}");
+            assert_eq!(new_pairs(&deformer, &with, &exec), 0, "from {side}");
+            with.positions
+        });
+        assert_eq!(shapes[0], shapes[1]);
+        // The sheet has gone before the ball, not behind it.
+        let height = |p: &DVec3| p.y * side;
+        let lowest = shapes[0][..first as usize].iter().map(height).fold(f64::MAX, f64::min);
+        assert!(lowest < -0.18, "from {side}: {lowest}");
+        let highest = shapes[0][..first as usize].iter().map(height).fold(f64::MIN, f64::max);
+        assert!(highest < 0.1, "from {side}: {highest}");
+    }
 }
 
 #[test]

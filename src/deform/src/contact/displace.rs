@@ -6,8 +6,6 @@ use glam::{DMat3, DVec3};
 use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
 
-/// How often the conditions are chosen that hold with equality.
-const CHOICES: usize = 3;
 /// Steps of conjugate gradients.
 const STEPS: usize = 40;
 /// They end where the residual has fallen to this, squared.
@@ -39,18 +37,23 @@ impl<'a> DisplacementProblem<'a> {
         }
     }
 
-    /// Changes `moved`, by free node, so that it meets the conditions better.
+    /// Changes `moved`, by free node, so that it meets conditions better. Which of them hold with equality is chosen so many times.
     ///
     /// # Errors
     /// [`Cancelled`].
-    pub fn improve(&self, moved: &mut [DVec3], exec: &Exec<'_>) -> Result<(), Cancelled> {
+    pub fn improve(
+        &self,
+        mut conditions: Vec<Condition>,
+        choices: usize,
+        moved: &mut [DVec3],
+        exec: &Exec<'_>,
+    ) -> Result<(), Cancelled> {
         let edge = self.finder.region.edge;
-        let mut conditions = self.finder.conditions();
         for condition in &mut conditions {
             condition.least = (condition.least + condition.shift).min(condition.gap + STEP * edge);
         }
         let before = moved.to_vec();
-        for _ in 0..CHOICES {
+        for _ in 0..choices {
             let active: Vec<Condition> = (conditions.iter())
                 .filter(|condition| self.base_gap(condition) + self.gain(condition, moved) < condition.least)
                 .copied()

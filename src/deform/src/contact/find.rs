@@ -252,7 +252,7 @@ impl ContactFinder<'_> {
 }
 
 /// The edges of a face that pass through another one, smaller vertex first.
-fn edges_through(corners: [u32; 3], own: [DVec3; 3], [a, b, c]: [DVec3; 3]) -> Vec<[u32; 2]> {
+pub(super) fn edges_through(corners: [u32; 3], own: [DVec3; 3], [a, b, c]: [DVec3; 3]) -> Vec<[u32; 2]> {
     let volume = |a: DVec3, b: DVec3, c: DVec3, d: DVec3| (b - a).cross(c - a).dot(d - a);
     let passes = |p: DVec3, q: DVec3| {
         let sides = [volume(a, b, c, p), volume(a, b, c, q)];

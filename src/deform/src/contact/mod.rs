@@ -1,18 +1,22 @@
 //! Surfaces that a pose has pushed through each other, moved apart.
 //!
-//! Where triangles cross that did not in the rest pose, each pair becomes a condition on the vertices around it ([`find`]): a vertex
-//! lies before a face, or an edge beside an edge, by the clearance, along the bisector of the two sides' normals. The surface around
-//! ([`region`]) is displaced as smoothly as these allow ([`displace`]), half of each on either side, all on one where handles hold the
-//! other. The result is looked at, conditions that have come up are added, and so on. What handles hold stays. No pose is solved again.
+//! Where triangles cross that did not in the rest pose, the surface around ([`region`]) is displaced as smoothly as conditions on its
+//! vertices allow ([`displace`]), half of each on either side, all on one where handles hold the other. The result is looked at,
+//! conditions that have come up are added, and so on. What handles hold stays. No pose is solved again.
 //!
-//! The outsides of the two surfaces say where each of them belongs. Places so crumpled that faces cross others of the same direction are
-//! flattened instead.
+//! At first conditions shorten the curves in which surfaces cross, step by step ([`contour`]). That is gentle, and needs no inside, but
+//! may end where a crossing is deep. Then each pair becomes a condition that stays in force ([`find`]): a vertex lies before a face, or an
+//! edge beside an edge, by the clearance, along the bisector of the two sides' normals, whose outsides say where each of them belongs.
+//! Places so crumpled that faces cross others of the same direction are flattened instead. What that leaves has its curves shortened
+//! again.
 
+mod contour;
 mod displace;
 mod find;
 mod region;
 
 use crate::surface_faults::most_overlaps;
+use contour::contour_conditions;
 use displace::DisplacementProblem;
 use find::{ContactFinder, Knowledge, PartingStyle, smooth_normals};
 use glam::DVec3;
@@ -30,6 +34,8 @@ const MOST_PAIRS: usize = 20_000;
 const LOST: usize = 4;
 /// What parting may change lengths of edges by, on the mean, whatever the pose does.
 const LEAST_STRAIN: f64 = 0.02;
+/// How often the conditions are chosen that hold with equality, where they stay in force.
+const CHOICES: usize = 3;
 /// Rounds of one style.
 const ROUNDS: usize = 20;
 /// How surfaces are parted, one after the other until nothing crosses. Each goes on from the best shape of those before.
@@ -57,6 +63,26 @@ const STYLES: [PartingStyle; 3] = [
     },
 ];
 
+/// What the surface gives way with where curves of crossings are shortened.
+const CONTOUR_STYLE: PartingStyle = PartingStyle {
+    smoothing: 1,
+    facing: 0.7,
+    flatten: 0.0,
+    bending: 0.5,
+    stiffness: 1.0,
+};
+/// Rounds of shortening curves,
+const CONTOUR_ROUNDS: usize = 30;
+/// and how far surfaces go apart in each, median edges.
+const CONTOUR_STEP: f64 = 0.3;
+/// What part of the displacement so far is solved for again in each, so that what is no longer needed goes.
+const CONTOUR_BACK: f64 = 0.1;
+/// A kind of parting is given up after so many rounds without fewer pairs.
+const PATIENCE: usize = 8;
+/// Where nothing crosses any more, but edges are further from their rest lengths than so many times as far as before, another kind of
+/// parting is tried too.
+const LITTLE_STRAIN: f64 = 1.15;
+
 /// A surface that handles hold in part.
 pub struct ContactSurface<'a> {
     /// In the rest pose.
@@ -65,6 +91,44 @@ pub struct ContactSurface<'a> {
     pub held: &'a [bool],
     /// What surfaces keep from each other, model units; `None`: [`CLEARANCE`] of the median edge around what crosses.
     pub clearance: Option<f64>,
+}
+
+/// A displacement of the region with what is left.
+#[derive(Clone)]
+struct Parted {
+    pairs: usize,
+    /// As [`ContactSurface::strain`].
+    strain: f64,
+    /// By free node.
+    moved: Vec<DVec3>,
+    knowledge: Knowledge,
+}
+
+/// A shape with pairs of faces that cross.
+struct Crossed {
+    at: Vec<DVec3>,
+    pairs: Vec<[u32; 2]>,
+}
+
+/// Says when a kind of parting is given up.
+#[derive(Default)]
+struct Patience {
+    fewest: Option<usize>,
+    rounds: usize,
+}
+
+/// A shape that is being parted.
+struct Parting<'a> {
+    surface: &'a ContactSurface<'a>,
+    /// The places of all vertices before.
+    base: &'a [DVec3],
+    region: ContactRegion,
+    clearance: f64,
+    rest_bend: Vec<f64>,
+    /// Without displacement.
+    before: Parted,
+    /// The best one so far.
+    best: Parted,
 }
 
 impl ContactSurface<'_> {
@@ -80,52 +144,19 @@ impl ContactSurface<'_> {
             Some(before) if !before.is_empty() && before.len() <= MOST_PAIRS => before,
             _ => return Ok(()),
         };
-        let region = ContactRegion::around(self.mesh, &self.held[..vertices], &before);
-        let clearance = self.clearance.unwrap_or(CLEARANCE * region.edge);
-        let rest_bend = rest_bend(self.mesh);
-        let strain = self.strain(base);
-        // The more pairs are parted, the more lengths of edges may change: up to twice as far as before, on the mean, and some beside
-        // that where the pose itself changes none.
-        let is_worth = |left: usize, at: &[DVec3]| {
-            let parted = 1.0 - left as f64 / before.len() as f64;
-            self.strain(at) <= strain + parted * parted * strain.max(LEAST_STRAIN)
-        };
-        let mut best = (before.len(), vec![DVec3::ZERO; region.free], Knowledge::default());
-        for style in STYLES {
-            if best.0 == 0 {
-                break;
+        let mut parting = Parting::of(self, base, &before);
+        parting.shorten_curves(exec)?;
+        if !parting.is_good() {
+            let shortened = std::mem::replace(&mut parting.best, parting.before.clone());
+            parting.meet_conditions(exec)?;
+            if parting.best.pairs > 0 {
+                parting.shorten_curves(exec)?;
             }
-            let mut at = displaced(base, &region, &best.1);
-            let mut finder = ContactFinder {
-                normals: smooth_normals(self.mesh, &at, style.smoothing),
-                knowledge: best.2.clone(),
-                mesh: self.mesh,
-                region: &region,
-                style,
-                clearance,
-            };
-            let mut moved = best.1.clone();
-            let Some(mut crossings) = self.crossings(&at, Some(&region.is_near), exec)? else {
-                break;
-            };
-            for _ in 0..ROUNDS {
-                exec.check()?;
-                finder.look(&at, &crossings);
-                DisplacementProblem::new(&finder, base, &rest_bend).improve(&mut moved, exec)?;
-                at = displaced(base, &region, &moved);
-                crossings = match self.crossings(&at, Some(&region.is_near), exec)? {
-                    Some(crossings) => crossings,
-                    None => break,
-                };
-                if crossings.len() < best.0 && is_worth(crossings.len(), &at) {
-                    best = (crossings.len(), moved.clone(), finder.knowledge.clone());
-                }
-                if best.0 == 0 || crossings.len() > LOST * before.len() {
-                    break;
-                }
+            if shortened.is_better(&parting.best) {
+                parting.best = shortened;
             }
         }
-        let parted = displaced(base, &region, &best.1);
+        let parted = displaced(base, &parting.region, &parting.best.moved);
         let left = self.crossings(&parted, None, exec)?;
         if parted.iter().all(|p| p.is_finite()) && left.is_some_and(|left| left.len() < before.len()) {
             positions[..vertices].copy_from_slice(&parted);
@@ -174,6 +205,145 @@ impl ContactSurface<'_> {
         let mut found = found.into_inner().unwrap_or_else(PoisonError::into_inner);
         found.sort_unstable();
         Ok(Some(found))
+    }
+}
+
+impl Patience {
+    /// After a round that left so many pairs, of so many at the beginning.
+    fn ends(&mut self, pairs: usize, first: usize) -> bool {
+        if self.fewest.is_none_or(|fewest| pairs < fewest) {
+            (self.fewest, self.rounds) = (Some(pairs), 0);
+        } else {
+            self.rounds += 1;
+        }
+        pairs == 0 || pairs > LOST * first || self.rounds >= PATIENCE
+    }
+}
+
+impl Parted {
+    fn is_better(&self, other: &Self) -> bool {
+        self.pairs < other.pairs || (self.pairs == other.pairs && self.strain < other.strain)
+    }
+}
+
+impl<'a> Parting<'a> {
+    fn of(surface: &'a ContactSurface<'a>, base: &'a [DVec3], crossings: &[[u32; 2]]) -> Self {
+        let mesh = surface.mesh;
+        let region = ContactRegion::around(mesh, &surface.held[..base.len()], crossings);
+        let before = Parted {
+            pairs: crossings.len(),
+            strain: surface.strain(base),
+            moved: vec![DVec3::ZERO; region.free],
+            knowledge: Knowledge::default(),
+        };
+        Self {
+            clearance: surface.clearance.unwrap_or(CLEARANCE * region.edge),
+            rest_bend: rest_bend(mesh),
+            best: before.clone(),
+            surface,
+            base,
+            region,
+            before,
+        }
+    }
+
+    /// Whether nothing crosses and edges are little further from their rest lengths than before.
+    fn is_good(&self) -> bool {
+        self.best.pairs == 0 && self.best.strain <= LITTLE_STRAIN * self.before.strain
+    }
+
+    fn finder(&self, style: PartingStyle, normals: Vec<DVec3>, knowledge: Knowledge) -> ContactFinder<'_> {
+        ContactFinder {
+            mesh: self.surface.mesh,
+            region: &self.region,
+            clearance: self.clearance,
+            style,
+            normals,
+            knowledge,
+        }
+    }
+
+    /// Looks at the region displaced. Answers its crossings, and keeps it where it is the best so far; `None` where nearly all faces
+    /// overlap.
+    fn look(&mut self, moved: &[DVec3], knowledge: &Knowledge, exec: &Exec<'_>) -> Result<Option<Crossed>, Cancelled> {
+        let at = displaced(self.base, &self.region, moved);
+        let Some(pairs) = self.surface.crossings(&at, Some(&self.region.is_near), exec)? else {
+            return Ok(None);
+        };
+        if pairs.len() < self.best.pairs {
+            let strain = self.surface.strain(&at);
+            // The more pairs are parted, the more lengths of edges may change: up to twice as far as before, on the mean, and some beside
+            // that where the pose itself changes none.
+            let parted = 1.0 - pairs.len() as f64 / self.before.pairs as f64;
+            let more = parted * parted * self.before.strain.max(LEAST_STRAIN);
+            if strain <= self.before.strain + more {
+                self.best = Parted {
+                    pairs: pairs.len(),
+                    strain,
+                    moved: moved.to_vec(),
+                    knowledge: knowledge.clone(),
+                };
+            }
+        }
+        Ok(Some(Crossed { at, pairs }))
+    }
+
+    /// Goes on from the best displacement by small steps, each of which shortens the curves of crossings.
+    fn shorten_curves(&mut self, exec: &Exec<'_>) -> Result<(), Cancelled> {
+        let mut moved = self.best.moved.clone();
+        let mut patience = Patience::default();
+        let Some(mut now) = self.look(&moved, &Knowledge::default(), exec)? else {
+            return Ok(());
+        };
+        for _ in 0..CONTOUR_ROUNDS {
+            exec.check()?;
+            // Nothing is flattened: no normal is asked for.
+            let finder = self.finder(CONTOUR_STYLE, Vec::new(), Knowledge::default());
+            let conditions =
+                contour_conditions(self.surface.mesh, &now.at, &now.pairs, CONTOUR_STEP * self.region.edge);
+            let part = |part: f64| moved.iter().map(|by| *by * part).collect::<Vec<DVec3>>();
+            let (kept, mut by) = (part(1.0 - CONTOUR_BACK), part(CONTOUR_BACK));
+            let from = displaced(self.base, &self.region, &kept);
+            DisplacementProblem::new(&finder, &from, &self.rest_bend).improve(conditions, 1, &mut by, exec)?;
+            moved = kept.iter().zip(&by).map(|(kept, by)| *kept + *by).collect();
+            match self.look(&moved, &Knowledge::default(), exec)? {
+                Some(next) if !patience.ends(next.pairs.len(), self.before.pairs) => now = next,
+                _ => break,
+            }
+        }
+        Ok(())
+    }
+
+    /// Parts surfaces by conditions that stay in force, in one style after the other until nothing crosses.
+    fn meet_conditions(&mut self, exec: &Exec<'_>) -> Result<(), Cancelled> {
+        for style in STYLES {
+            if self.best.pairs == 0 {
+                break;
+            }
+            let (mut moved, mut knowledge) = (self.best.moved.clone(), self.best.knowledge.clone());
+            let mut patience = Patience::default();
+            let Some(mut now) = self.look(&moved, &knowledge, exec)? else {
+                break;
+            };
+            let mut normals = smooth_normals(self.surface.mesh, &now.at, style.smoothing);
+            for _ in 0..ROUNDS {
+                exec.check()?;
+                let mut finder = self.finder(style, normals, knowledge);
+                finder.look(&now.at, &now.pairs);
+                DisplacementProblem::new(&finder, self.base, &self.rest_bend).improve(
+                    finder.conditions(),
+                    CHOICES,
+                    &mut moved,
+                    exec,
+                )?;
+                ContactFinder { normals, knowledge, .. } = finder;
+                match self.look(&moved, &knowledge, exec)? {
+                    Some(next) if !patience.ends(next.pairs.len(), self.before.pairs) => now = next,
+                    _ => break,
+                }
+            }
+        }
+        Ok(())
     }
 }
 
