@@ -10,12 +10,17 @@
 
 mod displace;
 mod find;
+mod layers;
+mod outfit;
 mod region;
 
 use crate::surface_faults::most_overlaps;
 use displace::DisplacementProblem;
 use find::{ContactFinder, Knowledge, PartingStyle, smooth_normals};
 use glam::DVec3;
+pub use layers::LayerSides;
+use layers::MisplacedVertex;
+pub use outfit::{FittedOutfit, OutfitFaults, OutfitOnBody};
 use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
 use pliant_mesh::{Mesh, is_crossing, visit_crossings_within};
@@ -65,6 +70,37 @@ pub struct ContactSurface<'a> {
     pub held: &'a [bool],
     /// What surfaces keep from each other, model units; `None`: [`CLEARANCE`] of the median edge around what crosses.
     pub clearance: Option<f64>,
+    /// Which of its parts lie on which.
+    pub layers: &'a LayerSides,
+}
+
+/// What is wrong with a shape.
+struct ContactFaults {
+    /// Pairs of faces that cross.
+    crossings: Vec<[u32; 2]>,
+    /// Vertices that are nearer to another part than they may be.
+    misplaced: Vec<MisplacedVertex>,
+}
+
+impl ContactFaults {
+    /// How many there are: what is near, but on its side, is none.
+    fn count(&self) -> usize {
+        self.crossings.len() + self.behind().count()
+    }
+
+    fn behind(&self) -> impl Iterator<Item = &MisplacedVertex> {
+        self.misplaced.iter().filter(|v| v.is_behind)
+    }
+
+    /// Faces around all of them, two by two.
+    fn places(&self, mesh: &Mesh) -> Vec<[u32; 2]> {
+        let mut own = vec![0; mesh.positions.len()];
+        for (t, corners) in (0..).zip(&mesh.triangles) {
+            corners.iter().for_each(|v| own[*v as usize] = t);
+        }
+        let behind = self.behind().map(|v| [own[v.vertex as usize], v.triangle]);
+        self.crossings.iter().copied().chain(behind).collect()
+    }
 }
 
 impl ContactSurface<'_> {
@@ -76,58 +112,73 @@ impl ContactSurface<'_> {
     pub fn part(&self, positions: &mut [DVec3], exec: &Exec<'_>) -> Result<(), Cancelled> {
         let vertices = self.mesh.positions.len();
         let base = &positions[..vertices];
-        let before = match self.crossings(base, None, exec)? {
-            Some(before) if !before.is_empty() && before.len() <= MOST_PAIRS => before,
+        let before = match self.faults(base, None, 0.0, exec)? {
+            Some(before) if (1..=MOST_PAIRS).contains(&before.count()) => before,
             _ => return Ok(()),
         };
-        let region = ContactRegion::around(self.mesh, &self.held[..vertices], &before);
+        let region = ContactRegion::around(self.mesh, &self.held[..vertices], &before.places(self.mesh));
+        let before = before.count();
         let clearance = self.clearance.unwrap_or(CLEARANCE * region.edge);
         let rest_bend = rest_bend(self.mesh);
         let strain = self.strain(base);
         // The more pairs are parted, the more lengths of edges may change: up to twice as far as before, on the mean, and some beside
         // that where the pose itself changes none.
         let is_worth = |left: usize, at: &[DVec3]| {
-            let parted = 1.0 - left as f64 / before.len() as f64;
+            let parted = 1.0 - left as f64 / before as f64;
             self.strain(at) <= strain + parted * parted * strain.max(LEAST_STRAIN)
         };
-        let mut best = (before.len(), vec![DVec3::ZERO; region.free], Knowledge::default());
-        for style in STYLES {
+        let mut best = (before, vec![DVec3::ZERO; region.free], Knowledge::default());
+        let by_normals = LayerSides::default();
+        // Where layers lie in a crease that has no room for them, what the normals alone say may be better.
+        let kinds = if self.layers.is_empty() { 1 } else { 2 };
+        for layers in [self.layers, &by_normals].into_iter().take(kinds) {
+            let mut own = (before, vec![DVec3::ZERO; region.free], Knowledge::default());
+            for style in STYLES {
+                if own.0 == 0 {
+                    break;
+                }
+                let mut at = displaced(base, &region, &own.1);
+                let mut finder = ContactFinder {
+                    normals: smooth_normals(self.mesh, &at, style.smoothing),
+                    knowledge: own.2.clone(),
+                    mesh: self.mesh,
+                    region: &region,
+                    layers,
+                    style,
+                    clearance,
+                };
+                let mut moved = own.1.clone();
+                let Some(mut faults) = self.faults(&at, Some(&region.is_near), clearance, exec)? else {
+                    break;
+                };
+                for _ in 0..ROUNDS {
+                    exec.check()?;
+                    finder.look(&at, &faults.crossings, &faults.misplaced);
+                    DisplacementProblem::new(&finder, base, &rest_bend).improve(&mut moved, exec)?;
+                    at = displaced(base, &region, &moved);
+                    faults = match self.faults(&at, Some(&region.is_near), clearance, exec)? {
+                        Some(faults) => faults,
+                        None => break,
+                    };
+                    let left = faults.count();
+                    if left < own.0 && is_worth(left, &at) {
+                        own = (left, moved.clone(), finder.knowledge.clone());
+                    }
+                    if own.0 == 0 || left > LOST * before {
+                        break;
+                    }
+                }
+            }
+            if own.0 < best.0 {
+                best = own;
+            }
             if best.0 == 0 {
                 break;
             }
-            let mut at = displaced(base, &region, &best.1);
-            let mut finder = ContactFinder {
-                normals: smooth_normals(self.mesh, &at, style.smoothing),
-                knowledge: best.2.clone(),
-                mesh: self.mesh,
-                region: &region,
-                style,
-                clearance,
-            };
-            let mut moved = best.1.clone();
-            let Some(mut crossings) = self.crossings(&at, Some(&region.is_near), exec)? else {
-                break;
-            };
-            for _ in 0..ROUNDS {
-                exec.check()?;
-                finder.look(&at, &crossings);
-                DisplacementProblem::new(&finder, base, &rest_bend).improve(&mut moved, exec)?;
-                at = displaced(base, &region, &moved);
-                crossings = match self.crossings(&at, Some(&region.is_near), exec)? {
-                    Some(crossings) => crossings,
-                    None => break,
-                };
-                if crossings.len() < best.0 && is_worth(crossings.len(), &at) {
-                    best = (crossings.len(), moved.clone(), finder.knowledge.clone());
-                }
-                if best.0 == 0 || crossings.len() > LOST * before.len() {
-                    break;
-                }
-            }
         }
         let parted = displaced(base, &region, &best.1);
-        let left = self.crossings(&parted, None, exec)?;
-        if parted.iter().all(|p| p.is_finite()) && left.is_some_and(|left| left.len() < before.len()) {
+        let left = self.faults(&parted, None, 0.0, exec)?;
+        if parted.iter().all(|p| p.is_finite()) && left.is_some_and(|left| left.count() < before) {
             positions[..vertices].copy_from_slice(&parted);
         }
         Ok(())
@@ -149,6 +200,26 @@ impl ContactSurface<'_> {
         sum / f64::max(count, 1.0)
     }
 
+    /// What is wrong with a shape; vertices of layers may be as near as `least`. As [`ContactSurface::crossings`].
+    fn faults(
+        &self,
+        at: &[DVec3],
+        is_asked: Option<&[bool]>,
+        least: f64,
+        exec: &Exec<'_>,
+    ) -> Result<Option<ContactFaults>, Cancelled> {
+        let Some(crossings) = self.crossings(at, is_asked, exec)? else {
+            return Ok(None);
+        };
+        let mut misplaced = self.layers.misplaced(self.mesh, at, is_asked, least, exec)?;
+        misplaced.retain(|found| {
+            let corners = self.mesh.triangles[found.triangle as usize];
+            let mut all = corners.iter().chain([&found.vertex]);
+            !all.all(|v| self.held[*v as usize])
+        });
+        Ok(Some(ContactFaults { crossings, misplaced }))
+    }
+
     /// Pairs of faces that cross, did not in the rest pose, and are not held wholly; ascending. With `is_asked` those pairs alone of
     /// which one face is asked for. `None` where nearly all faces overlap.
     fn crossings(
@@ -164,7 +235,8 @@ impl ContactSurface<'_> {
         let found = Mutex::new(Vec::new());
         let keep = |pair: [u32; 2]| {
             let mut corners = pair.iter().flat_map(|t| triangles[*t as usize]);
-            if !corners.all(|v| self.held[v as usize]) && !is_crossing(positions, origin, triangles, pair) {
+            let was_there = || is_crossing(positions, origin, triangles, pair) || self.layers.allows(triangles, pair);
+            if !corners.all(|v| self.held[v as usize]) && !was_there() {
                 found.lock().unwrap_or_else(PoisonError::into_inner).push(pair);
             }
         };
