@@ -81,6 +81,13 @@ Examples:
   pliant transfer head.glb other.glb -o other-shapes.glb --landmarks landmarks.json --picture shapes.png
   pliant transfer body.obj other.glb --shape posed.obj -o other-posed.glb";
 
+/// `pliant fit --help`.
+pub(super) const FIT: &str = "\
+Examples:
+  pliant fit vest.glb body.glb other-body.glb -o other-vest.glb
+  pliant fit vest.glb body.glb other-body.glb -o other-vest.glb --landmarks landmarks.json --clearance 0.004
+  pliant fit vest.glb body.glb other-body.glb -o other-vest.glb --picture vests.png --view three-quarter";
+
 /// `pliant render --help`.
 pub(super) const RENDER: &str = "\
 Examples:

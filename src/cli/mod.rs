@@ -9,6 +9,7 @@ mod check;
 mod deform;
 mod drawing;
 mod examples;
+mod fit;
 mod health;
 mod input_files;
 mod inspect;
@@ -64,6 +65,9 @@ enum PliantCommand {
     /// Bring blend shapes or a pose of a model to another one, which keeps its vertices, UVs, rig and materials
     #[command(after_help = examples::TRANSFER)]
     Transfer(transfer::TransferArgs),
+    /// Put an outfit of a body on another body, outside of it; UVs, rig and materials stay
+    #[command(after_help = examples::FIT)]
+    Fit(fit::FitArgs),
     /// Draw a model as a PNG picture, optionally beside an earlier state
     #[command(after_help = examples::RENDER)]
     Render(render::RenderArgs),
@@ -100,6 +104,7 @@ pub fn main() -> ExitCode {
         PliantCommand::Skin(args) => rig::run_skin(&args),
         PliantCommand::Wrap(args) => wrap::run_wrap(&args),
         PliantCommand::Transfer(args) => transfer::run_transfer(&args),
+        PliantCommand::Fit(args) => fit::run_fit(&args),
         PliantCommand::Render(args) => render::run_render(&args),
         PliantCommand::Sample(args) => examples::run_sample(&args),
         PliantCommand::Token(args) => token::run_token(&args),

@@ -5,7 +5,7 @@ use super::wrap::{landmarks, wrap_report};
 use super::{Error, pb};
 use pb::transfer_request::Source;
 use pliant_asset::{FileSet, Format};
-use pliant_core::engine::{TransferCommand, TransferReport};
+use pliant_core::engine::{OutfitFit, TransferCommand, TransferReport};
 
 /// What is to come to a session's model from another one. Made by [`transfer_order`].
 #[derive(Debug, Clone)]
@@ -34,6 +34,13 @@ pub fn transfer_order(request: &pb::TransferRequest, format: Option<Format>) -> 
             Some(shape.map_err(|e| renamed(e, "shape.format", "shapeFormat"))?)
         }
     };
+    let fit = request.fit.as_ref().map(outfit_fit).transpose()?;
+    if fit.is_some() && shape.is_none() {
+        return Err(Error::invalid(
+            "shape",
+            "is missing: with fit, the body that the outfit is to fit",
+        ));
+    }
     if shape.is_none() && format.is_some_and(|format| format != Format::GLB) {
         return Err(Error::invalid(
             "output",
@@ -45,6 +52,7 @@ pub fn transfer_order(request: &pb::TransferRequest, format: Option<Format>) -> 
             source: (other_model(source, &request.format, "model", Some(&none)))
                 .map_err(|e| renamed(e, "model.format", "format"))?,
             shape,
+            fit,
             landmarks: landmarks(&request.landmarks, "landmarks")?,
             format,
         },
@@ -53,6 +61,15 @@ pub fn transfer_order(request: &pb::TransferRequest, format: Option<Format>) -> 
             _ => None,
         },
     })
+}
+
+fn outfit_fit(fit: &pb::transfer_request::Fit) -> Result<OutfitFit, Error> {
+    match fit.clearance {
+        Some(clearance) if !(clearance.is_finite() && clearance >= 0.0) => {
+            Err(Error::invalid("fit.clearance", "must be a length, 0 or more"))
+        }
+        clearance => Ok(OutfitFit { clearance }),
+    }
 }
 
 /// An error about a field by the name that it has in the request.
@@ -72,7 +89,17 @@ pub fn transfer_report(report: &TransferReport) -> pb::TransferReport {
         flipped_triangles: shape.flipped_triangles,
         flipped_in_source: shape.flipped_in_source,
     });
+    let fit = report.fit.map(|fit| pb::transfer_report::Fit {
+        vertices: fit.vertices,
+        inside_at_rest: fit.inside_at_rest,
+        inside_carried: fit.inside_carried,
+        inside: fit.inside,
+        crossings_carried: fit.crossings_carried,
+        crossings: fit.crossings,
+        edge_distortion: fit.edge_distortion,
+    });
     pb::TransferReport {
+        fit,
         shapes: shapes.collect(),
         clips: report.clips,
         wrap: report.wrap.as_ref().map(wrap_report),

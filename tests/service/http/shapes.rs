@@ -76,6 +76,35 @@ async fn shapes_of_a_file_or_a_session_come_by_both_protocols_and_change_nothing
     assert_eq!(history["commits"].as_array().expect("commits").len(), 1);
 }
 
+/// The bar, so many times as thick.
+fn thick_bar(by: f64) -> String {
+    let thicker = |line: &str| match line.strip_prefix("v ") {
+        Some(place) => {
+            let p: Vec<f64> = place.split_whitespace().map(|n| n.parse().expect("a number")).collect();
+            format!("v {} {} {}\n", p[0] * by, p[1] * by, p[2])
+        }
+        None => format!("{line}\n"),
+    };
+    bar_obj(16).lines().map(thicker).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_outfit_comes_to_another_body_by_http() {
+    let server = Server::start().await;
+    let id = text(&server.open(thick_bar(1.1)).await["id"]);
+    let body = |by: f64| STANDARD.encode(thick_bar(by));
+    let order = json!({"model": body(1.0), "shape": body(2.0), "fit": {"clearance": 0.01}});
+    let answer = post(&server, &path(&id, "/transfer"), order).await;
+    assert_eq!(answer.status(), 200);
+    let told = header(&answer, "x-pliant-transferred").to_owned();
+    assert!(told.ends_with("inside=0, crossings=0"), "{told}");
+    let fitted = read(answer.bytes().await.expect("bytes").to_vec());
+    let wide = |model: &Model| model.positions.iter().map(|p| p.x).fold(f64::MIN, f64::max);
+    assert!(wide(&fitted) > wide(&read(thick_bar(2.0).into_bytes())));
+    let history = server.document(&path(&id, "/history")).await;
+    assert_eq!(history["commits"].as_array().expect("commits").len(), 1);
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn what_is_wrong_with_a_transfer_is_told_by_its_field() {
     let server = Server::start().await;
@@ -89,6 +118,11 @@ async fn what_is_wrong_with_a_transfer_is_told_by_its_field() {
         (json!({"model": bar, "shape": bar, "output": "gltf"}), "output"),
         (json!({"model": bar, "landmarks": [{"ownVertex": 1}]}), "landmarks[0]"),
         (json!({"session": "none"}), "session"),
+        (json!({"model": bar, "fit": {}}), "shape"),
+        (
+            json!({"model": bar, "shape": bar, "fit": {"clearance": -1}}),
+            "fit.clearance",
+        ),
     ] {
         let answer = post(&server, &path(&id, "/transfer"), order.clone()).await;
         let status = answer.status().as_u16();

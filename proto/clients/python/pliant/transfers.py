@@ -38,6 +38,8 @@ def request(
     shape: ModelLike | None,
     landmarks: Sequence[Any],
     formats: Sequence[str],
+    fit: bool = False,
+    clearance: float | None = None,
 ) -> pb.TransferRequest:
     """A transfer as the schema carries it; `formats` are those of source, shape and answer."""
     if (source is None) == (not session):
@@ -50,6 +52,13 @@ def request(
         message.model = _model("source", source)
     if shape is not None:
         message.shape = _model("shape", shape)
+    if clearance is not None and not fit:
+        raise TypeError("transfer: clearance is of fit=True")
+    if fit:
+        message.fit.SetInParent()
+    if clearance is not None:
+        with about("clearance"):
+            message.fit.clearance = clearance
     with about("landmarks"):
         for own in landmarks:
             landmark(message.landmarks.add(), own)

@@ -264,7 +264,8 @@ export class Session {
 
   /**
    * The model with the blend shapes of another one, a file or another session, as a GLB; with `shape`, that model in another shape, the
-   * model in the shape that it takes on by it. Nothing changes.
+   * model in the shape that it takes on by it; with `fit` too, the model, an outfit of the other one, on the body that `shape` is. Nothing
+   * changes.
    */
   transfer(source: Uint8Array | { session: string }, options: TransferOptions = {}, { onWork, ...call }: WorkOptions = {}): Promise<Blob> {
     const isFile = source instanceof Uint8Array;

@@ -103,7 +103,7 @@ pub use shape::{FoundTurn, ModelShape, Shader, Shading, ShapeId, TopologyId, dig
 pub use solve::Drag;
 pub use stiff::find_hard_parts;
 pub use topology_state::TopologyState;
-pub use transfer::{ShapeFacts, TransferCommand, TransferReport, Transferred};
+pub use transfer::{FitFacts, OutfitFit, ShapeFacts, TransferCommand, TransferReport, Transferred};
 pub use tube_region::MOST_TUBE_POINTS;
 pub use vertex_targets::{StiffnessPer, VertexTargets};
 pub use wrap::{LandmarkPlace, WrapCommand, WrapDistances, WrapLandmark, WrapReport};

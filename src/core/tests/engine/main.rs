@@ -8,8 +8,10 @@ mod contact;
 #[expect(dead_code, reason = "other tests read single files")]
 #[path = "../../../../tests/support/data.rs"]
 mod data;
+mod fit;
 mod guides;
 mod hard_surfaces;
+mod layers;
 mod lines;
 mod parts;
 mod passengers;

@@ -98,6 +98,7 @@ fn transfer(target: FileSet, source: FileSet, shape: Option<FileSet>) -> Result<
     let command = TransferCommand {
         source: of_files(source),
         shape: shape.map(of_files),
+        fit: None,
         landmarks: Vec::new(),
         format: None,
     };
@@ -281,6 +282,7 @@ fn what_cannot_come_is_refused_by_its_field() {
     let command = TransferCommand {
         source: of_files(source().1),
         shape: None,
+        fit: None,
         landmarks: Vec::new(),
         format: None,
     };

@@ -1,5 +1,6 @@
 //! Conditions on a few vertices each that keep two surfaces apart, found where triangles cross.
 
+use super::layers::{LayerSides, MisplacedVertex};
 use super::region::ContactRegion;
 use glam::DVec3;
 use pliant_mesh::Mesh;
@@ -78,6 +79,7 @@ pub(super) struct Knowledge {
 pub(super) struct ContactFinder<'a> {
     pub mesh: &'a Mesh,
     pub region: &'a ContactRegion,
+    pub layers: &'a LayerSides,
     pub style: PartingStyle,
     pub clearance: f64,
     /// Normals of the shape that is to be parted, by vertex.
@@ -96,8 +98,8 @@ impl ContactFinder<'_> {
         self.knowledge.flat.get(&v).copied().unwrap_or(0.0)
     }
 
-    /// Looks at those that are known again, in another shape, and adds those of pairs of faces that cross.
-    pub fn look(&mut self, at: &[DVec3], crossings: &[[u32; 2]]) {
+    /// Looks at those that are known again, in another shape, and adds those of pairs of faces that cross and of misplaced vertices.
+    pub fn look(&mut self, at: &[DVec3], crossings: &[[u32; 2]], misplaced: &[MisplacedVertex]) {
         for (encounter, before) in std::mem::take(&mut self.knowledge.known) {
             let Some(mut now) = self
                 .condition(encounter, at)
@@ -114,6 +116,13 @@ impl ContactFinder<'_> {
         for pair in crossings {
             self.see(*pair, at);
         }
+        for found in misplaced {
+            let corners = self.mesh.triangles[found.triangle as usize];
+            let is_free = |v: &u32| (self.region.local[*v as usize] as usize) < self.region.free;
+            if corners.iter().chain([&found.vertex]).any(is_free) {
+                self.add(Encounter::Face(found.vertex, found.triangle), at, |_, _| true);
+            }
+        }
     }
 
     fn aside(&self, condition: &Condition, at: &[DVec3]) -> f64 {
@@ -123,7 +132,8 @@ impl ContactFinder<'_> {
     /// Adds the conditions of two faces that cross.
     fn see(&mut self, pair: [u32; 2], at: &[DVec3]) {
         let corners = pair.map(|t| self.mesh.triangles[t as usize]);
-        let [own, other] = corners.map(|c| c.iter().map(|v| self.normals[*v as usize]).sum::<DVec3>());
+        let normals = corners.map(|c| c.iter().map(|v| self.normals[*v as usize]).sum::<DVec3>());
+        let [own, other] = self.sided(normals, [corners[0][0], corners[1][0]]);
         if own.normalize_or_zero().dot(other.normalize_or_zero()) > self.style.facing {
             self.flatten(corners);
             return;
@@ -194,7 +204,7 @@ impl ContactFinder<'_> {
                     (v, 0.0),
                     (v, 0.0),
                 ];
-                self.filled(nodes, [normal(v), other], at)
+                self.filled(nodes, self.sided([normal(v), other], [v, c[0]]), at)
             }
             Encounter::Edges(a, b) => {
                 if a.iter().any(|v| b.contains(v)) {
@@ -211,7 +221,7 @@ impl ContactFinder<'_> {
                     (a[0], 0.0),
                     (a[0], 0.0),
                 ];
-                self.filled(nodes, [own, other], at)
+                self.filled(nodes, self.sided([own, other], [a[0], b[0]]), at)
             }
             Encounter::Faces(pair) => {
                 let [a, b] = pair.map(|t| self.mesh.triangles[t as usize]);
@@ -225,12 +235,20 @@ impl ContactFinder<'_> {
                     (b[2], -third),
                 ];
                 let sums = [a, b].map(|c| c.iter().map(|v| normal(*v)).sum());
-                let condition = self.filled(nodes, sums, at)?;
+                let condition = self.filled(nodes, self.sided(sums, [a[0], b[0]]), at)?;
                 Some(Condition {
                     least: condition.gap + self.clearance,
                     ..condition
                 })
             }
+        }
+    }
+
+    /// Normals of two sides, as they face each other; of layers by where they lay on each other.
+    fn sided(&self, [own, other]: [DVec3; 2], of: [u32; 2]) -> [DVec3; 2] {
+        match self.layers.sides(of[0], of[1]) {
+            None => [own, other],
+            Some([before, behind]) => [own.normalize_or_zero() * behind, other.normalize_or_zero() * before],
         }
     }
 
@@ -244,10 +262,22 @@ impl ContactFinder<'_> {
         Some(Condition {
             nodes,
             direction,
-            least: (self.clearance).min(REST_PART * between(&nodes, &self.mesh.positions).length()),
+            least: self.least(&nodes),
             shift: 0.0,
             gap: between(&nodes, at).dot(direction),
         })
+    }
+
+    /// How far two sides are to be from each other: layers as far as in the rest pose, up to the clearance.
+    fn least(&self, nodes: &[(u32, f64); 6]) -> f64 {
+        let other = nodes
+            .iter()
+            .find(|(_, factor)| *factor < 0.0)
+            .map_or(nodes[0].0, |n| n.0);
+        let (own, layers) = (nodes[0].0, self.layers);
+        let of_layers = layers.gap(own, other).or_else(|| layers.gap(other, own));
+        let at_rest = || REST_PART * between(nodes, &self.mesh.positions).length();
+        self.clearance.min(of_layers.unwrap_or_else(at_rest))
     }
 }
 

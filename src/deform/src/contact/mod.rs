@@ -13,6 +13,8 @@
 mod contour;
 mod displace;
 mod find;
+mod layers;
+mod outfit;
 mod region;
 
 use crate::surface_faults::most_overlaps;
@@ -20,6 +22,9 @@ use contour::contour_conditions;
 use displace::DisplacementProblem;
 use find::{ContactFinder, Knowledge, PartingStyle, smooth_normals};
 use glam::DVec3;
+pub use layers::LayerSides;
+use layers::MisplacedVertex;
+pub use outfit::{FittedOutfit, OutfitFaults, OutfitOnBody};
 use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
 use pliant_mesh::{Mesh, is_crossing, visit_crossings_within};
@@ -91,12 +96,44 @@ pub struct ContactSurface<'a> {
     pub held: &'a [bool],
     /// What surfaces keep from each other, model units; `None`: [`CLEARANCE`] of the median edge around what crosses.
     pub clearance: Option<f64>,
+    /// Which of its parts lie on which.
+    pub layers: &'a LayerSides,
+}
+
+/// What is wrong with a shape.
+struct ContactFaults {
+    /// Pairs of faces that cross.
+    crossings: Vec<[u32; 2]>,
+    /// Vertices that are nearer to another part than they may be.
+    misplaced: Vec<MisplacedVertex>,
+}
+
+impl ContactFaults {
+    /// How many there are: what is near, but on its side, is none.
+    fn count(&self) -> usize {
+        self.crossings.len() + self.behind().count()
+    }
+
+    fn behind(&self) -> impl Iterator<Item = &MisplacedVertex> {
+        self.misplaced.iter().filter(|v| v.is_behind)
+    }
+
+    /// Faces around all of them, two by two.
+    fn places(&self, mesh: &Mesh) -> Vec<[u32; 2]> {
+        let mut own = vec![0; mesh.positions.len()];
+        for (t, corners) in (0..).zip(&mesh.triangles) {
+            corners.iter().for_each(|v| own[*v as usize] = t);
+        }
+        let behind = self.behind().map(|v| [own[v.vertex as usize], v.triangle]);
+        self.crossings.iter().copied().chain(behind).collect()
+    }
 }
 
 /// A displacement of the region with what is left.
 #[derive(Clone)]
 struct Parted {
-    pairs: usize,
+    /// As [`ContactFaults::count`].
+    faults: usize,
     /// As [`ContactSurface::strain`].
     strain: f64,
     /// By free node.
@@ -104,10 +141,10 @@ struct Parted {
     knowledge: Knowledge,
 }
 
-/// A shape with pairs of faces that cross.
-struct Crossed {
+/// A shape and what is wrong with it.
+struct Faulty {
     at: Vec<DVec3>,
-    pairs: Vec<[u32; 2]>,
+    faults: ContactFaults,
 }
 
 /// Says when a kind of parting is given up.
@@ -140,8 +177,8 @@ impl ContactSurface<'_> {
     pub fn part(&self, positions: &mut [DVec3], exec: &Exec<'_>) -> Result<(), Cancelled> {
         let vertices = self.mesh.positions.len();
         let base = &positions[..vertices];
-        let before = match self.crossings(base, None, exec)? {
-            Some(before) if !before.is_empty() && before.len() <= MOST_PAIRS => before,
+        let before = match self.faults(base, None, 0.0, exec)? {
+            Some(before) if (1..=MOST_PAIRS).contains(&before.count()) => before,
             _ => return Ok(()),
         };
         let mut parting = Parting::of(self, base, &before);
@@ -149,7 +186,7 @@ impl ContactSurface<'_> {
         if !parting.is_good() {
             let shortened = std::mem::replace(&mut parting.best, parting.before.clone());
             parting.meet_conditions(exec)?;
-            if parting.best.pairs > 0 {
+            if parting.best.faults > 0 {
                 parting.shorten_curves(exec)?;
             }
             if shortened.is_better(&parting.best) {
@@ -157,8 +194,8 @@ impl ContactSurface<'_> {
             }
         }
         let parted = displaced(base, &parting.region, &parting.best.moved);
-        let left = self.crossings(&parted, None, exec)?;
-        if parted.iter().all(|p| p.is_finite()) && left.is_some_and(|left| left.len() < before.len()) {
+        let left = self.faults(&parted, None, 0.0, exec)?;
+        if parted.iter().all(|p| p.is_finite()) && left.is_some_and(|left| left.count() < before.count()) {
             positions[..vertices].copy_from_slice(&parted);
         }
         Ok(())
@@ -180,6 +217,26 @@ impl ContactSurface<'_> {
         sum / f64::max(count, 1.0)
     }
 
+    /// What is wrong with a shape; vertices of layers may be as near as `least`. As [`ContactSurface::crossings`].
+    fn faults(
+        &self,
+        at: &[DVec3],
+        is_asked: Option<&[bool]>,
+        least: f64,
+        exec: &Exec<'_>,
+    ) -> Result<Option<ContactFaults>, Cancelled> {
+        let Some(crossings) = self.crossings(at, is_asked, exec)? else {
+            return Ok(None);
+        };
+        let mut misplaced = self.layers.misplaced(self.mesh, at, is_asked, least, exec)?;
+        misplaced.retain(|found| {
+            let corners = self.mesh.triangles[found.triangle as usize];
+            let mut all = corners.iter().chain([&found.vertex]);
+            !all.all(|v| self.held[*v as usize])
+        });
+        Ok(Some(ContactFaults { crossings, misplaced }))
+    }
+
     /// Pairs of faces that cross, did not in the rest pose, and are not held wholly; ascending. With `is_asked` those pairs alone of
     /// which one face is asked for. `None` where nearly all faces overlap.
     fn crossings(
@@ -195,7 +252,8 @@ impl ContactSurface<'_> {
         let found = Mutex::new(Vec::new());
         let keep = |pair: [u32; 2]| {
             let mut corners = pair.iter().flat_map(|t| triangles[*t as usize]);
-            if !corners.all(|v| self.held[v as usize]) && !is_crossing(positions, origin, triangles, pair) {
+            let was_there = || is_crossing(positions, origin, triangles, pair) || self.layers.allows(triangles, pair);
+            if !corners.all(|v| self.held[v as usize]) && !was_there() {
                 found.lock().unwrap_or_else(PoisonError::into_inner).push(pair);
             }
         };
@@ -209,29 +267,29 @@ impl ContactSurface<'_> {
 }
 
 impl Patience {
-    /// After a round that left so many pairs, of so many at the beginning.
-    fn ends(&mut self, pairs: usize, first: usize) -> bool {
-        if self.fewest.is_none_or(|fewest| pairs < fewest) {
-            (self.fewest, self.rounds) = (Some(pairs), 0);
+    /// After a round that left so many faults, of so many at the beginning.
+    fn ends(&mut self, faults: usize, first: usize) -> bool {
+        if self.fewest.is_none_or(|fewest| faults < fewest) {
+            (self.fewest, self.rounds) = (Some(faults), 0);
         } else {
             self.rounds += 1;
         }
-        pairs == 0 || pairs > LOST * first || self.rounds >= PATIENCE
+        faults == 0 || faults > LOST * first || self.rounds >= PATIENCE
     }
 }
 
 impl Parted {
     fn is_better(&self, other: &Self) -> bool {
-        self.pairs < other.pairs || (self.pairs == other.pairs && self.strain < other.strain)
+        self.faults < other.faults || (self.faults == other.faults && self.strain < other.strain)
     }
 }
 
 impl<'a> Parting<'a> {
-    fn of(surface: &'a ContactSurface<'a>, base: &'a [DVec3], crossings: &[[u32; 2]]) -> Self {
+    fn of(surface: &'a ContactSurface<'a>, base: &'a [DVec3], faults: &ContactFaults) -> Self {
         let mesh = surface.mesh;
-        let region = ContactRegion::around(mesh, &surface.held[..base.len()], crossings);
+        let region = ContactRegion::around(mesh, &surface.held[..base.len()], &faults.places(mesh));
         let before = Parted {
-            pairs: crossings.len(),
+            faults: faults.count(),
             strain: surface.strain(base),
             moved: vec![DVec3::ZERO; region.free],
             knowledge: Knowledge::default(),
@@ -249,13 +307,14 @@ impl<'a> Parting<'a> {
 
     /// Whether nothing crosses and edges are little further from their rest lengths than before.
     fn is_good(&self) -> bool {
-        self.best.pairs == 0 && self.best.strain <= LITTLE_STRAIN * self.before.strain
+        self.best.faults == 0 && self.best.strain <= LITTLE_STRAIN * self.before.strain
     }
 
     fn finder(&self, style: PartingStyle, normals: Vec<DVec3>, knowledge: Knowledge) -> ContactFinder<'_> {
         ContactFinder {
             mesh: self.surface.mesh,
             region: &self.region,
+            layers: self.surface.layers,
             clearance: self.clearance,
             style,
             normals,
@@ -263,51 +322,62 @@ impl<'a> Parting<'a> {
         }
     }
 
-    /// Looks at the region displaced. Answers its crossings, and keeps it where it is the best so far; `None` where nearly all faces
-    /// overlap.
-    fn look(&mut self, moved: &[DVec3], knowledge: &Knowledge, exec: &Exec<'_>) -> Result<Option<Crossed>, Cancelled> {
+    /// Looks at the region displaced, where layers may be as near as `least`. Answers what is wrong, and keeps it where it is the best so
+    /// far; `None` where nearly all faces overlap.
+    fn look(
+        &mut self,
+        moved: &[DVec3],
+        knowledge: &Knowledge,
+        least: f64,
+        exec: &Exec<'_>,
+    ) -> Result<Option<Faulty>, Cancelled> {
         let at = displaced(self.base, &self.region, moved);
-        let Some(pairs) = self.surface.crossings(&at, Some(&self.region.is_near), exec)? else {
+        let Some(faults) = self.surface.faults(&at, Some(&self.region.is_near), least, exec)? else {
             return Ok(None);
         };
-        if pairs.len() < self.best.pairs {
+        let left = faults.count();
+        if left < self.best.faults {
             let strain = self.surface.strain(&at);
-            // The more pairs are parted, the more lengths of edges may change: up to twice as far as before, on the mean, and some beside
-            // that where the pose itself changes none.
-            let parted = 1.0 - pairs.len() as f64 / self.before.pairs as f64;
+            // The more is parted, the more lengths of edges may change: up to twice as far as before, on the mean, and some beside that
+            // where the pose itself changes none.
+            let parted = 1.0 - left as f64 / self.before.faults as f64;
             let more = parted * parted * self.before.strain.max(LEAST_STRAIN);
             if strain <= self.before.strain + more {
                 self.best = Parted {
-                    pairs: pairs.len(),
+                    faults: left,
                     strain,
                     moved: moved.to_vec(),
                     knowledge: knowledge.clone(),
                 };
             }
         }
-        Ok(Some(Crossed { at, pairs }))
+        Ok(Some(Faulty { at, faults }))
     }
 
     /// Goes on from the best displacement by small steps, each of which shortens the curves of crossings.
     fn shorten_curves(&mut self, exec: &Exec<'_>) -> Result<(), Cancelled> {
         let mut moved = self.best.moved.clone();
         let mut patience = Patience::default();
-        let Some(mut now) = self.look(&moved, &Knowledge::default(), exec)? else {
+        let Some(mut now) = self.look(&moved, &Knowledge::default(), 0.0, exec)? else {
             return Ok(());
         };
         for _ in 0..CONTOUR_ROUNDS {
             exec.check()?;
             // Nothing is flattened: no normal is asked for.
             let finder = self.finder(CONTOUR_STYLE, Vec::new(), Knowledge::default());
-            let conditions =
-                contour_conditions(self.surface.mesh, &now.at, &now.pairs, CONTOUR_STEP * self.region.edge);
+            let conditions = contour_conditions(
+                self.surface.mesh,
+                &now.at,
+                &now.faults.crossings,
+                CONTOUR_STEP * self.region.edge,
+            );
             let part = |part: f64| moved.iter().map(|by| *by * part).collect::<Vec<DVec3>>();
             let (kept, mut by) = (part(1.0 - CONTOUR_BACK), part(CONTOUR_BACK));
             let from = displaced(self.base, &self.region, &kept);
             DisplacementProblem::new(&finder, &from, &self.rest_bend).improve(conditions, 1, &mut by, exec)?;
             moved = kept.iter().zip(&by).map(|(kept, by)| *kept + *by).collect();
-            match self.look(&moved, &Knowledge::default(), exec)? {
-                Some(next) if !patience.ends(next.pairs.len(), self.before.pairs) => now = next,
+            match self.look(&moved, &Knowledge::default(), 0.0, exec)? {
+                Some(next) if !patience.ends(next.faults.count(), self.before.faults) => now = next,
                 _ => break,
             }
         }
@@ -317,19 +387,19 @@ impl<'a> Parting<'a> {
     /// Parts surfaces by conditions that stay in force, in one style after the other until nothing crosses.
     fn meet_conditions(&mut self, exec: &Exec<'_>) -> Result<(), Cancelled> {
         for style in STYLES {
-            if self.best.pairs == 0 {
+            if self.best.faults == 0 {
                 break;
             }
             let (mut moved, mut knowledge) = (self.best.moved.clone(), self.best.knowledge.clone());
             let mut patience = Patience::default();
-            let Some(mut now) = self.look(&moved, &knowledge, exec)? else {
+            let Some(mut now) = self.look(&moved, &knowledge, self.clearance, exec)? else {
                 break;
             };
             let mut normals = smooth_normals(self.surface.mesh, &now.at, style.smoothing);
             for _ in 0..ROUNDS {
                 exec.check()?;
                 let mut finder = self.finder(style, normals, knowledge);
-                finder.look(&now.at, &now.pairs);
+                finder.look(&now.at, &now.faults.crossings, &now.faults.misplaced);
                 DisplacementProblem::new(&finder, self.base, &self.rest_bend).improve(
                     finder.conditions(),
                     CHOICES,
@@ -337,8 +407,8 @@ impl<'a> Parting<'a> {
                     exec,
                 )?;
                 ContactFinder { normals, knowledge, .. } = finder;
-                match self.look(&moved, &knowledge, exec)? {
-                    Some(next) if !patience.ends(next.pairs.len(), self.before.pairs) => now = next,
+                match self.look(&moved, &knowledge, self.clearance, exec)? {
+                    Some(next) if !patience.ends(next.faults.count(), self.before.faults) => now = next,
                     _ => break,
                 }
             }

@@ -183,7 +183,7 @@ pub(crate) const ROUTES: [Route; 26] = [
         method: "post",
         path: "/v1/sessions/{id}/transfer",
         rpc: Some("Transfer"),
-        summary: "The model with blend shapes that come from another one, as a GLB; with shape, the model in another shape, as the other one takes it on. The header x-pliant-transferred counts what came.",
+        summary: "The model with blend shapes that come from another one, as a GLB; with shape, the model in another shape, as the other one takes it on; with fit too, the model, an outfit of the other one, on the body that shape is. The header x-pliant-transferred counts what came.",
         takes: Some("TransferRequest"),
         ..PLAIN
     },

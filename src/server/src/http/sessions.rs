@@ -166,6 +166,9 @@ pub(super) async fn transfer(call: SessionCall, request: Request) -> Result<Resp
     if let Some(on) = came.report.wrap.and_then(|wrap| wrap.to_target) {
         told += &format!(", wrapped-p95={:.5}", on.p95);
     }
+    if let Some(fit) = came.report.fit {
+        told += &format!(", inside={}, crossings={}", fit.inside, fit.crossings);
+    }
     let mut response = models::main_file(&call.id, None, came.model, &HeaderMap::new())?;
     if let Ok(told) = HeaderValue::from_str(&told) {
         response.headers_mut().insert(TRANSFERRED, told);

@@ -359,6 +359,8 @@ class Session(Declared):
         *,
         session: str = "",
         shape: transfers.ModelLike | None = None,
+        fit: bool = False,
+        clearance: float | None = None,
         landmarks: Sequence[Any] = (),
         format: str = "",
         shape_format: str = "",
@@ -368,10 +370,14 @@ class Session(Declared):
         """The model with the blend shapes of `source`, a file or its bytes, or of another session; with `shape`, the source in
         another shape, the model in the shape that it takes on by it. Nothing changes.
 
-        `landmarks` are pairs (own, source) of vertex numbers or points (x, y, z); `progress` is as in :meth:`edit`.
+        With `fit`, this model is an outfit of `source`, a body, and comes as it fits another body, which `shape` is: outside of it, and
+        as far off as from the first, up to `clearance`.
+
+        `landmarks` are pairs (own, source) of vertex numbers or points (x, y, z); with `fit`, pairs (first body, second body).
+        `progress` is as in :meth:`edit`.
         """
         formats = (format, shape_format, output)
-        request = transfers.request(self.id, source, session, shape, landmarks, formats)
+        request = transfers.request(self.id, source, session, shape, landmarks, formats, fit, clearance)
         chunks = list(await self._watched(self._calls.many("Transfer", request), progress, "transfer"))
         model.warn_of(chunks)
         return transfers.transferred(chunks)

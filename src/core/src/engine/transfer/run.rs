@@ -34,16 +34,16 @@ impl Deformer {
     ) -> Result<Transferred, Error> {
         exec.progress.report("read", 0.0);
         let source = self.read_source(&command.source, "model", exec)?;
+        if let Some(fit) = &command.fit {
+            return self.fitted(positions, source, command, *fit, exec);
+        }
         let moving = match &command.shape {
             Some(shape) => MovingSource::of_shape(&source, &self.read_source(shape, "shape", exec)?)?,
             None => MovingSource::of_shapes(&source)?,
         };
         let format = match &command.shape {
             // One file, without buffers beside it, unless those are asked for.
-            Some(_) => command.format.unwrap_or(match self.model().format {
-                own if own == Format::GLTF => Format::GLB,
-                own => own,
-            }),
+            Some(_) => command.format.unwrap_or_else(|| self.one_file_format()),
             None => Format::GLB,
         };
         let of_source = moving.shapes.len() * source.mesh.positions.len();
@@ -54,7 +54,15 @@ impl Deformer {
 
         let mut own = self.mesh().clone();
         own.positions = self.mesh().welded(positions);
-        let (wrapped, report) = self.wrapped_source(&source, &own, &command.landmarks, exec)?;
+        let turned = command.landmarks.iter().map(|landmark| WrapLandmark {
+            own: landmark.target,
+            target: landmark.own,
+        });
+        let target = WrapSide {
+            triangles: &self.geometry().triangles,
+            mesh: &own,
+        };
+        let (wrapped, report) = self.wrapped(&source, target, &turned.collect::<Vec<_>>(), ["target", "own"], exec)?;
         let run = TransferRun {
             deformer: self,
             positions,
@@ -76,7 +84,15 @@ impl Deformer {
         }
     }
 
-    fn read_source(&self, other: &OtherModel, field: &str, exec: &Exec<'_>) -> Result<Source, Error> {
+    /// The model's format, as one file.
+    pub(super) fn one_file_format(&self) -> Format {
+        match self.model().format {
+            own if own == Format::GLTF => Format::GLB,
+            own => own,
+        }
+    }
+
+    pub(super) fn read_source(&self, other: &OtherModel, field: &str, exec: &Exec<'_>) -> Result<Source, Error> {
         let field = match other.from_session {
             true => "session".to_owned(),
             false => field.to_owned(),
@@ -96,17 +112,17 @@ impl Deformer {
         Ok(Source { model, mesh, field })
     }
 
-    /// Where the source's vertices are on this model.
-    fn wrapped_source(
+    /// Where the source's vertices are on a target; `sides` are the names of places of landmarks on the one and the other.
+    pub(super) fn wrapped(
         &self,
         source: &Source,
-        own: &Mesh,
+        target: WrapSide<'_>,
         landmarks: &[WrapLandmark],
+        sides: [&'static str; 2],
         exec: &Exec<'_>,
     ) -> Result<(Vec<DVec3>, Option<WrapReport>), Error> {
-        if source.model.triangles == self.geometry().triangles
-            && source.mesh.solver_from_render == own.solver_from_render
-        {
+        let own = target.mesh;
+        if source.model.triangles == *target.triangles && source.mesh.solver_from_render == own.solver_from_render {
             return Ok((own.positions.clone(), None));
         }
         let mut template = source.mesh.clone();
@@ -115,13 +131,9 @@ impl Deformer {
             surfaces: [&template, own],
             point_of: [&source.mesh.solver_from_render, &own.solver_from_render],
             field: "landmarks",
-            sides: ["target", "own"],
+            sides,
         };
-        let turned = landmarks.iter().map(|landmark| WrapLandmark {
-            own: landmark.target,
-            target: landmark.own,
-        });
-        let landmarks = sides.pairs(&turned.collect::<Vec<_>>(), exec)?;
+        let landmarks = sides.pairs(landmarks, exec)?;
         let task = WrapTask {
             template: &template,
             masked: &[],
@@ -132,10 +144,38 @@ impl Deformer {
         let (wrapped, report) = wrap(&task, own.clone(), exec)?;
         Ok((wrapped, Some(report)))
     }
+
+    /// Moves all render vertices by what points of the surface have moved, and what rides on the surface.
+    pub(super) fn with_points_moved(
+        &self,
+        positions: &[DVec3],
+        [before, now]: [&[DVec3]; 2],
+        exec: &Exec<'_>,
+    ) -> Result<Vec<DVec3>, Error> {
+        let mut positions = positions.to_vec();
+        for (place, &point) in positions.iter_mut().zip(&self.mesh().solver_from_render) {
+            if point != NONE {
+                *place += now[point as usize] - before[point as usize];
+            }
+        }
+        self.derived.bind_riders(&self.room_limits(), exec)?;
+        if let Some((surface, riders)) = self.derived.riding_vertices() {
+            riders.place(surface, now, &mut positions, exec.pool);
+        }
+        Ok(positions)
+    }
+}
+
+/// What a source is wrapped onto.
+#[derive(Clone, Copy)]
+pub(super) struct WrapSide<'a> {
+    /// Triangles of its file.
+    pub triangles: &'a [[u32; 3]],
+    pub mesh: &'a Mesh,
 }
 
 /// Files with what is to be said of how the source lies on the model, and of shapes that move nothing of it.
-fn with_warnings(mut files: WrittenFiles, told: &TransferReport) -> WrittenFiles {
+pub(super) fn with_warnings(mut files: WrittenFiles, told: &TransferReport) -> WrittenFiles {
     let still = told.shapes.iter().filter(|shape| shape.moved_vertices == 0);
     let still: Vec<&str> = still.map(|shape| shape.name.as_str()).collect();
     if !still.is_empty() {
@@ -194,16 +234,7 @@ impl TransferRun<'_> {
         let moves = surfaces.carry(&shape.moves, exec)?;
         let moved = ModelInShape::of(own, &OnceLock::new(), &moves, &places, exec);
         told.shapes = vec![carrier.facts(shape, own, &moved, exec)];
-        let mut positions = self.positions.to_vec();
-        for (place, &point) in positions.iter_mut().zip(&own.solver_from_render) {
-            if point != NONE {
-                *place += moved.now[point as usize] - own.positions[point as usize];
-            }
-        }
-        deformer.derived.bind_riders(&deformer.room_limits(), exec)?;
-        if let Some((surface, riders)) = deformer.derived.riding_vertices() {
-            riders.place(surface, &moved.now, &mut positions, exec.pool);
-        }
+        let positions = deformer.with_points_moved(self.positions, [&own.positions, &moved.now], exec)?;
         Ok(Transferred {
             files: with_warnings(deformer.write(&positions, format, exec)?, &told),
             format,
@@ -257,9 +288,9 @@ impl TransferRun<'_> {
 }
 
 /// The other model.
-struct Source {
-    model: Model,
-    mesh: Mesh,
+pub(super) struct Source {
+    pub model: Model,
+    pub mesh: Mesh,
     /// The field that names it.
     field: String,
 }

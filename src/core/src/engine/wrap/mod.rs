@@ -22,6 +22,7 @@ mod visible;
 
 pub use command::{LandmarkPlace, WrapCommand, WrapLandmark};
 pub(super) use queries::answers;
+pub(super) use report::edge_distortion;
 pub use report::{WrapDistances, WrapReport};
 pub(super) use run::{WRAPPED_BYTES, wrap};
 pub(super) use surface::{LandmarkSurfaces, SurfaceWrapping, turn_outwards};

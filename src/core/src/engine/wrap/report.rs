@@ -131,28 +131,29 @@ impl Told<'_> {
             vertices: self.now.len() as u32,
             unpulled_vertices: self.pulled.iter().filter(|pulled| !**pulled).count() as u32,
             flipped_triangles: measure_quality(self.template, false, self.now, exec.pool).flipped_triangles,
-            edge_distortion: self.edge_distortion(),
+            edge_distortion: edge_distortion(self.template, self.now),
             crossings_before: self_intersections(before, &self.template.triangles, exec)?,
             crossings: self_intersections(self.now, &self.template.triangles, exec)?,
         })
     }
+}
 
-    fn edge_distortion(&self) -> f64 {
-        let before = &self.template.positions;
-        let edges = Adjacency::build(before.len(), &self.template.triangles).edges;
-        let length = |at: &[DVec3], [a, b]: [u32; 2]| at[a as usize].distance(at[b as usize]);
-        let log = |edge: [u32; 2]| libm::log(length(self.now, edge) / length(before, edge));
-        let mut logs: Vec<f64> = edges
-            .iter()
-            .map(|e| log(e.vertices))
-            .filter(|l| l.is_finite())
-            .collect();
-        logs.sort_unstable_by(f64::total_cmp);
-        let Some(median) = logs.get(logs.len() / 2).copied() else {
-            return 0.0;
-        };
-        logs.iter().map(|l| (l - median).abs()).sum::<f64>() / logs.len() as f64
-    }
+/// How unevenly edges have grown: the mean of |log of the ratio of an edge's length after to that before, less the median of these logs|.
+pub(in crate::engine) fn edge_distortion(mesh: &Mesh, now: &[DVec3]) -> f64 {
+    let before = &mesh.positions;
+    let edges = Adjacency::build(before.len(), &mesh.triangles).edges;
+    let length = |at: &[DVec3], [a, b]: [u32; 2]| at[a as usize].distance(at[b as usize]);
+    let log = |edge: [u32; 2]| libm::log(length(now, edge) / length(before, edge));
+    let mut logs: Vec<f64> = edges
+        .iter()
+        .map(|e| log(e.vertices))
+        .filter(|l| l.is_finite())
+        .collect();
+    logs.sort_unstable_by(f64::total_cmp);
+    let Some(median) = logs.get(logs.len() / 2).copied() else {
+        return 0.0;
+    };
+    logs.iter().map(|l| (l - median).abs()).sum::<f64>() / logs.len() as f64
 }
 
 impl WrapDistances {
