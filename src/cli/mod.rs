@@ -12,6 +12,7 @@ mod examples;
 mod health;
 mod input_files;
 mod inspect;
+mod mcp;
 mod output_files;
 mod render;
 mod rig;
@@ -70,6 +71,9 @@ enum PliantCommand {
     /// Write a built-in model or recording to a file
     #[command(after_help = examples::SAMPLE)]
     Sample(examples::SampleArgs),
+    /// Let an agent use pliant: the Model Context Protocol over stdin and stdout
+    #[command(after_help = examples::MCP)]
+    Mcp(mcp::McpArgs),
     /// Create an access token
     #[command(after_help = examples::TOKEN)]
     Token(token::TokenArgs),
@@ -102,6 +106,7 @@ pub fn main() -> ExitCode {
         PliantCommand::Transfer(args) => transfer::run_transfer(&args),
         PliantCommand::Render(args) => render::run_render(&args),
         PliantCommand::Sample(args) => examples::run_sample(&args),
+        PliantCommand::Mcp(args) => mcp::run_mcp(&args),
         PliantCommand::Token(args) => token::run_token(&args),
         PliantCommand::Store(args) => store::run_store(&args),
         PliantCommand::Audit(args) => audit::run_audit(&args),

@@ -4,8 +4,8 @@ use crate::animation::frame_outbox::PreparedAnimation;
 use crate::animation::frame_outbox::StageReporter;
 use crate::answers::{CommittedPose, ExportedModel, TransferredModel};
 use crate::calls::command::{
-    CallOrigin, ExportModel, HandleChange, HistoryDirection, PrepareAnimation, QueuedCall, RecallPose, SessionCommand,
-    TaskCall, WorkOrder, with_pivots,
+    CallOrigin, ExportModel, HandleChange, HistoryDirection, PrepareAnimation, QueuedCall, ReadShape, RecallPose,
+    SessionCommand, TaskCall, WorkOrder, with_pivots,
 };
 use crate::calls::model_opening::{count_refusal, memory_needed, no_place};
 use crate::capacity::compute_slots::WorkLane;
@@ -32,6 +32,7 @@ use pliant_wire::{
     CarryOrder, CrossingsOrder, DeformOptions, MakeRigOrder, PoseCommit, SessionEdit, TransferOrder, made_rig_message,
     origin_of, pb, transfer_report, written_warnings,
 };
+use std::any::Any;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -82,6 +83,7 @@ impl SessionTask {
             SessionCommand::MakeRig(call) => self.serve(*call).await,
             SessionCommand::Transfer(call) => self.serve(*call).await,
             SessionCommand::Animate(call) => self.serve(*call).await,
+            SessionCommand::Look(call) => self.serve(*call).await,
         }
     }
 
@@ -308,6 +310,25 @@ impl RunCall for CrossingsOrder {
             revision: view.revision,
             ..found.map_err(|e| task.failure(e, &watch))?
         })
+    }
+}
+
+impl RunCall for ReadShape {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<Box<dyn Any + Send>, Error> {
+        let positions = Arc::clone(&task.session.view().positions);
+        let topology = task.history.current().topology.clone();
+        let lane = lane_of_work(task.history.current().triangles() <= FEW_TRIANGLES);
+        let limit = task.shared.config.build;
+        let needed = (positions.len() as u64).saturating_mul(self.bytes_per_vertex);
+        reserve_more(task, needed, "looking at the model")?;
+        let (read, watch) = task
+            .compute(origin.order(WorkKind::Look, lane, limit), move |deformer, work| {
+                let exec = work.exec();
+                deformer.go_to_topology(topology.as_ref(), &exec)?;
+                (self.read)(deformer.deformer("looking at models")?, &positions, &exec)
+            })
+            .await?;
+        read.map_err(|e| task.failure(e, &watch))
     }
 }
 
