@@ -22,6 +22,7 @@ use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::io::{AsyncRead, AsyncWrite};
+use tracing::{Instrument as _, Span};
 
 /// How often a call that takes long tells so.
 const BETWEEN_NOTES: Duration = Duration::from_secs(1);
@@ -40,6 +41,8 @@ pub struct AgentCaller {
     pub tenant: Tenant,
     /// What the caller is called in the audit trail.
     pub name: Arc<str>,
+    /// The span of the request, which work is part of.
+    pub span: Span,
 }
 
 /// The tools over a manager of sessions.
@@ -58,6 +61,7 @@ impl AgentTools {
         let caller = AgentCaller {
             tenant: Tenant::default(),
             name: "mcp".into(),
+            span: Span::none(),
         };
         Self {
             manager,
@@ -108,18 +112,19 @@ impl AgentTools {
         }
     }
 
-    fn session_caller(&self, context: &RequestContext<RoleServer>) -> Result<SessionCaller, ErrorData> {
+    fn session_caller(&self, context: &RequestContext<RoleServer>) -> Result<(SessionCaller, Span), ErrorData> {
         let of_request = || {
             let parts = context.extensions.get::<http::request::Parts>()?;
             parts.extensions.get::<AgentCaller>().cloned()
         };
         let caller = self.caller.clone().or_else(of_request);
         let caller = caller.ok_or_else(|| ErrorData::internal_error("the caller of a request is unknown", None))?;
-        Ok(SessionCaller {
+        let own = SessionCaller {
             manager: self.manager.on_behalf_of(&caller.name),
             tenant: caller.tenant,
             kept: Arc::clone(&self.kept),
-        })
+        };
+        Ok((own, caller.span))
     }
 }
 
@@ -146,10 +151,11 @@ impl ServerHandler for AgentTools {
         request: CallToolRequestParams,
         context: RequestContext<RoleServer>,
     ) -> Result<CallToolResponse, ErrorData> {
-        let caller = self.session_caller(&context)?;
+        let (caller, span) = self.session_caller(&context)?;
         let token = context.meta.get_progress_token();
         let begun = Instant::now();
         let call = caller.run(&request.name, request.arguments, self.folder.as_deref());
+        let call = call.instrument(span);
         tokio::pin!(call);
         // Dropping the call stops its work.
         let done = loop {

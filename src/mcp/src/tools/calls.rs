@@ -536,8 +536,10 @@ fn axes_of(arguments: &OpenArguments) -> Result<BodyAxes, Error> {
         }),
     };
     let up = read(&arguments.up, "up")?.unwrap_or_default();
+    let is_creature = arguments.sample.as_deref() == Some(BuiltInModel::Creature.name());
     let usual = match up.direction() == glam::DVec3::Z {
         true => SignedAxis::named("-y"),
+        false if is_creature => SignedAxis::named("x"),
         false => SignedAxis::named("z"),
     };
     let front = read(&arguments.front, "front")?.or(usual).unwrap_or_default();

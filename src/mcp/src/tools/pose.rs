@@ -20,6 +20,8 @@ const BAND: f64 = 0.05;
 const WIDE_BAND: f64 = 0.25;
 /// The share of a region that is held, however wide the band.
 const KEPT: f64 = 0.34;
+/// Factors of a scale.
+const SCALES: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
 /// Regions of one call.
 const MOST: usize = 64;
 /// Triangles up to which a pose is looked at for crossings unless options say otherwise.
@@ -373,6 +375,10 @@ fn handle_pose(
         Some(Scale::Uniform(factor)) => DVec3::splat(*factor),
         Some(Scale::Axes(factors)) => DVec3::from_array(*factors),
     };
+    if !scale.to_array().iter().all(|factor| SCALES.contains(factor)) {
+        let (least, most) = (SCALES.start(), SCALES.end());
+        return Err(EngineError::invalid(format!("{field}.scale"), format!("is {scale}; {least} to {most} are allowed")));
+    }
     let pivot = pivot.unwrap_or(center);
     let turned = turn.map_or(DQuat::IDENTITY, DQuat::from_scaled_axis);
     let translation = match (asked.to, asked.translation) {

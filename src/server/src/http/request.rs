@@ -39,6 +39,7 @@ impl Caller {
         AgentCaller {
             tenant: self.tenant.clone(),
             name: Arc::clone(&self.name),
+            span: tracing::Span::current(),
         }
     }
 
