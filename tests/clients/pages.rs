@@ -126,7 +126,10 @@ fn command_line() {
 fn agents() {
     let checkout = play("deploy/docs/agents.md");
     if checkout.path("target/agent-4-pose.png").exists() {
-        assert!(checkout.path("target/reaching.glb").exists(), "the posed figure is written");
+        assert!(
+            checkout.path("target/reaching.glb").exists(),
+            "the posed figure is written"
+        );
     }
 }
 

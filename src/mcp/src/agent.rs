@@ -24,14 +24,14 @@ use std::time::{Duration, Instant};
 use tokio::io::{AsyncRead, AsyncWrite};
 use tracing::{Instrument as _, Span};
 
-/// How often a call that takes long tells so.
+/// How often a call that takes long reports that it works.
 const BETWEEN_NOTES: Duration = Duration::from_secs(1);
 
-/// What an agent is told before it calls anything.
+/// What an agent reads before it calls anything.
 const INSTRUCTIONS: &str = "Deforms 3D models. `open` a model, `look` at it, and name regions in plain words: names in the file (\"lid\"), \
 parts of a body (\"left arm\", \"head\"), \"largest part\", \"tips\", \"tail\", sides (\"top quarter\", \"left half of the head\"). `pose` moves regions \
 while others are held; all between bends smoothly. Every answer has a picture: look at it before the next step. Poses count from the rest \
-shape, not from the last pose. y is up and figures look along z with their left at x, unless `open` was told otherwise. `undo` takes a step \
+shape, not from the last pose. y is up and figures look along z with their left at x, unless `open` says otherwise. `undo` takes a step \
 back; `export` writes the model.";
 
 /// Who calls over HTTP: the server puts it among the extensions of a request.

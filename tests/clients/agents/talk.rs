@@ -21,7 +21,11 @@ impl Agent {
     /// Starts the program on a folder and shakes hands.
     pub fn start(folder: &Path) -> Self {
         let mut command = pliant_in(folder, &["mcp"]);
-        let started = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn();
+        let started = command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn();
         let mut child = started.expect("the program starts");
         let mut agent = Self {
             to: child.stdin.take(),
@@ -30,7 +34,10 @@ impl Agent {
             last: 0,
         };
         let info = json!({"name": "test", "version": "1"});
-        let hello = agent.request("initialize", json!({"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": info}));
+        let hello = agent.request(
+            "initialize",
+            json!({"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": info}),
+        );
         assert_eq!(hello["result"]["serverInfo"]["name"], "pliant", "{hello}");
         agent.send(&json!({"jsonrpc": "2.0", "method": "notifications/initialized"}).to_string());
         agent
@@ -39,7 +46,10 @@ impl Agent {
     /// Sends a line.
     pub fn send(&mut self, line: &str) {
         let to = self.to.as_mut().expect("open");
-        to.write_all(line.as_bytes()).and_then(|()| to.write_all(b"\n")).and_then(|()| to.flush()).expect("written");
+        to.write_all(line.as_bytes())
+            .and_then(|()| to.write_all(b"\n"))
+            .and_then(|()| to.flush())
+            .expect("written");
     }
 
     /// Sends a request; its id.
@@ -105,7 +115,9 @@ pub fn picture(result: &Value) -> Vec<u8> {
 /// Pixels of the picture of an answer.
 pub fn picture_size(result: &Value) -> [u32; 2] {
     let bytes = picture(result);
-    let reader = png::Decoder::new(std::io::Cursor::new(&bytes)).read_info().expect("a PNG");
+    let reader = png::Decoder::new(std::io::Cursor::new(&bytes))
+        .read_info()
+        .expect("a PNG");
     [reader.info().width, reader.info().height]
 }
 

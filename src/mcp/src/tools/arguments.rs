@@ -3,6 +3,7 @@
 use crate::picture::{PictureOrder, SIDES, View};
 use glam::DVec3;
 use pliant_session::Error;
+use prost::Message;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
@@ -29,6 +30,27 @@ pub(crate) fn read<T: DeserializeOwned>(arguments: Option<Map<String, Value>>) -
             },
         }
     })
+}
+
+/// An error about a field of a part of a request.
+pub(super) fn below(error: Error, part: &str) -> Error {
+    match &error.field {
+        Some(field) if !field.starts_with(part) => Error {
+            message: format!("{part}.{}", error.message),
+            field: Some(format!("{part}.{field}")),
+            ..error
+        },
+        _ => error,
+    }
+}
+
+/// A message of the schema in its JSON form, as HTTP takes it.
+pub(super) fn message_of<M: Message + Default + prost::Name>(
+    fields: Map<String, Value>,
+    part: &str,
+) -> Result<M, Error> {
+    let text = Value::Object(fields).to_string();
+    pliant_wire::json::from_json(text.as_bytes()).map_err(|e| below(e.into(), part))
 }
 
 /// How a picture is asked for, in every tool that returns one.
@@ -146,7 +168,7 @@ impl Direction {
 /// A rotation about an axis.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
-pub(crate) struct Turn {
+pub(crate) struct AxisTurn {
     pub axis: Direction,
     pub degrees: f64,
 }
@@ -166,7 +188,7 @@ pub(crate) struct MovedArguments {
     pub region: String,
     pub translation: Option<[f64; 3]>,
     pub to: Option<[f64; 3]>,
-    pub rotation: Option<Turn>,
+    pub rotation: Option<AxisTurn>,
     pub aim: Option<Direction>,
     pub scale: Option<Scale>,
     pub pivot: Option<[f64; 3]>,

@@ -2,6 +2,8 @@
 
 mod arguments;
 mod calls;
+mod edits;
+mod files;
 mod pose;
 mod scene;
 
@@ -11,11 +13,10 @@ use crate::answer::ToolAnswer;
 use crate::folder::AgentFolder;
 use arguments::read;
 use pliant_session::Error;
-use prost::Message;
 use rmcp::model::Tool;
 use serde_json::{Map, Value};
 
-/// The tools as an agent is told of them.
+/// The tools as an agent reads of them.
 const TOOLS: &str = include_str!("../tools.json");
 
 /// The list of tools, those of one that reads files or one that gets them in calls.
@@ -71,24 +72,6 @@ impl SessionCaller {
             _ => return None,
         })
     }
-}
-
-/// An error about a field of a part of a request.
-fn below(error: Error, part: &str) -> Error {
-    match &error.field {
-        Some(field) if !field.starts_with(part) => Error {
-            message: format!("{part}.{}", error.message),
-            field: Some(format!("{part}.{field}")),
-            ..error
-        },
-        _ => error,
-    }
-}
-
-/// A message of the schema in its JSON form, as HTTP takes it.
-fn message_of<M: Message + Default + prost::Name>(fields: Map<String, Value>, part: &str) -> Result<M, Error> {
-    let text = Value::Object(fields).to_string();
-    pliant_wire::json::from_json(text.as_bytes()).map_err(|e| below(e.into(), part))
 }
 
 #[cfg(test)]

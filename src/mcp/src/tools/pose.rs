@@ -2,7 +2,7 @@
 //!
 //! Between handles that touch, a band of the surface is left free, so that it can bend there.
 
-use super::arguments::{MovedArguments, PoseArguments, Scale};
+use super::arguments::{MovedArguments, PoseArguments, Scale, message_of};
 use super::scene::{Scene, SessionCaller};
 use crate::answer::{ToolAnswer, place, short};
 use crate::picture::{PictureOrder, draw};
@@ -28,7 +28,7 @@ const MOST: usize = 64;
 const LOOKED_AT: u32 = 200_000;
 
 /// A handle that a pose asks for.
-struct Wanted {
+struct WantedHandle {
     id: String,
     words: String,
     found: Found,
@@ -86,7 +86,7 @@ impl SessionCaller {
             })
             .await?;
         let options = match options {
-            Some(options) => super::message_of::<pb::Options>(options, "options")?,
+            Some(options) => message_of::<pb::Options>(options, "options")?,
             None => pb::Options {
                 output: Some(pb::Output {
                     self_intersections: described.primitives.iter().map(|p| p.index_count / 3).sum::<u32>()
@@ -156,7 +156,7 @@ impl SessionCaller {
         let mut moved = Vec::new();
         for ((name, mut facts, rest), center) in report.into_iter().zip(centers) {
             text += &format!(
-                "\"{name}\": its middle is at {}, at rest it is at {}.\n",
+                "\"{name}\": its middle is at {}, in the rest pose it is at {}.\n",
                 place(center),
                 place(rest)
             );
@@ -214,7 +214,7 @@ fn prepare(
     before: Vec<pb::Handle>,
 ) -> Result<Prepared, EngineError> {
     let figure = scene.figure;
-    let mut wanted: Vec<Wanted> = Vec::new();
+    let mut wanted: Vec<WantedHandle> = Vec::new();
     let mut holds_rest = held.is_some_and(|held| held.iter().any(|words| means_everything_else(words)));
     for (k, words) in held.unwrap_or_default().iter().enumerate() {
         let id = handle_id(words);
@@ -223,7 +223,7 @@ fn prepare(
         }
         let found = scene.resolver.resolve(words, &format!("held[{k}]"))?;
         let words = words.clone();
-        wanted.push(Wanted {
+        wanted.push(WantedHandle {
             id,
             words,
             found,
@@ -242,7 +242,7 @@ fn prepare(
             ));
         }
         let words = asked.region.clone();
-        wanted.push(Wanted {
+        wanted.push(WantedHandle {
             id,
             words,
             found,
@@ -254,10 +254,20 @@ fn prepare(
         && before
             .iter()
             .all(|handle| handle.id == EVERYTHING_ELSE || is_same(handle));
-    let kept: Vec<pb::Handle> = before
+    let mut kept: Vec<pb::Handle> = before
         .into_iter()
         .filter(|h| h.id != EVERYTHING_ELSE && !is_same(h))
         .collect();
+    // Where regions overlap the later handle holds: a hand that is named beside its arm is a hand.
+    wanted.sort_by_key(|own| std::cmp::Reverse(own.found.set.count()));
+    let fresh = wanted
+        .iter()
+        .fold(VertexSet::none(figure.count()), |all, own| all.or(&own.found.set));
+    // What is wholly covered by what is named now moves with that.
+    kept.retain(|handle| {
+        let own = vertices_of(handle, figure.count());
+        own.count() == 0 || own.minus(&fresh).count() > 0
+    });
     let mut sets: Vec<VertexSet> = kept.iter().map(|handle| vertices_of(handle, figure.count())).collect();
     if holds_rest {
         let set = everything_else(scene, &wanted, &sets, blend)?;
@@ -270,7 +280,7 @@ fn prepare(
         let id = EVERYTHING_ELSE.to_owned();
         wanted.insert(
             0,
-            Wanted {
+            WantedHandle {
                 words: id.clone(),
                 id,
                 found,
@@ -297,7 +307,7 @@ fn prepare(
     Ok(Prepared { handles, report })
 }
 
-fn handle_of(own: &Wanted, set: &VertexSet) -> pb::Handle {
+fn handle_of(own: &WantedHandle, set: &VertexSet) -> pb::Handle {
     let vertices = pb::region::Vertices {
         indices: set.list(),
         ranges: Vec::new(),
@@ -377,7 +387,10 @@ fn handle_pose(
     };
     if !scale.to_array().iter().all(|factor| SCALES.contains(factor)) {
         let (least, most) = (SCALES.start(), SCALES.end());
-        return Err(EngineError::invalid(format!("{field}.scale"), format!("is {scale}; {least} to {most} are allowed")));
+        return Err(EngineError::invalid(
+            format!("{field}.scale"),
+            format!("is {scale}; {least} to {most} are allowed"),
+        ));
     }
     let pivot = pivot.unwrap_or(center);
     let turned = turn.map_or(DQuat::IDENTITY, DQuat::from_scaled_axis);
@@ -438,7 +451,7 @@ fn shortest_turn(from: DVec3, to: DVec3, else_about: DVec3) -> DVec3 {
 /// What is farther from all that moves than the band, along the surface.
 fn everything_else(
     scene: &Scene<'_>,
-    wanted: &[Wanted],
+    wanted: &[WantedHandle],
     kept: &[VertexSet],
     blend: Option<f64>,
 ) -> Result<VertexSet, EngineError> {

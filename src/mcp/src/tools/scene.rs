@@ -2,7 +2,7 @@
 
 use crate::kept::{Kept, NamedRegion, Notes};
 use crate::picture::BYTES_PER_VERTEX;
-use crate::words::{Figure, Found, Resolver, VertexSet};
+use crate::words::{Found, Resolver, RestFigure, VertexSet};
 use glam::DVec3;
 use pliant_core::engine::{self, TopologyId};
 use pliant_core::mesh::BoundingBox;
@@ -23,7 +23,7 @@ pub(crate) struct SessionCaller {
 
 /// A model while tools look at it.
 pub(crate) struct Scene<'a> {
-    pub figure: &'a Figure<'a>,
+    pub figure: &'a RestFigure<'a>,
     pub resolver: &'a Resolver<'a>,
     /// The current shape.
     pub positions: &'a [DVec3],
@@ -76,7 +76,7 @@ impl SessionCaller {
             .manager
             .look(&self.tenant, id, BYTES, move |deformer, positions, exec| {
                 let topology = deformer.topology_state().id();
-                let figure = Figure::new(deformer, axes, exec);
+                let figure = RestFigure::new(deformer, axes, exec);
                 let known = joints.filter(|known| known.0 == topology).map(|known| known.1);
                 let mut resolver = Resolver::new(&figure, known);
                 let mut renewed: Vec<(String, NamedRegion)> = Vec::new();

@@ -14,7 +14,7 @@ use std::collections::BinaryHeap;
 const BETWEEN_LOOKS: usize = 1 << 14;
 
 /// A model's rest shape, seen as a figure that stands upright.
-pub(crate) struct Figure<'a> {
+pub(crate) struct RestFigure<'a> {
     /// The model.
     pub deformer: &'a Deformer,
     /// Who waits for the answer.
@@ -32,7 +32,7 @@ struct Net {
     component: Vec<u32>,
 }
 
-impl<'a> Figure<'a> {
+impl<'a> RestFigure<'a> {
     /// The rest shape of a model.
     pub fn new(deformer: &'a Deformer, axes: BodyAxes, exec: &'a Exec<'a>) -> Self {
         let count = deformer.rest().len();

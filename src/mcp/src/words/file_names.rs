@@ -1,6 +1,6 @@
 //! Names that the model's file gives to vertices: of primitives, materials and blend shapes.
 
-use super::figure::Figure;
+use super::figure::RestFigure;
 use super::joints::name_words;
 use super::vertex_set::VertexSet;
 use pliant_core::engine::Error;
@@ -8,6 +8,9 @@ use std::collections::BTreeMap;
 
 /// A shape moves a vertex that goes this share of its longest way, at least.
 const MOVED: f32 = 0.02;
+
+/// Blend shapes that are known by their names: each is a set of vertices.
+const MOST_SHAPES: usize = 128;
 
 /// What a file calls vertices, in the order of the file.
 pub(crate) struct FileNames(pub Vec<FileName>);
@@ -21,7 +24,7 @@ pub(crate) struct FileName {
 
 impl FileNames {
     /// The names of a model. Those of its blend shapes are known as long as no edit has changed it.
-    pub fn of(figure: &Figure<'_>) -> Result<Self, Error> {
+    pub fn of(figure: &RestFigure<'_>) -> Result<Self, Error> {
         let (deformer, count) = (figure.deformer, figure.count());
         let mut names: Vec<FileName> = Vec::new();
         let mut add = |name: &str, kind: &'static str, set: VertexSet| {
@@ -54,7 +57,7 @@ impl FileNames {
                     add(&own.name, "material", set);
                 }
             }
-            for shape in deformer.model().blend_shapes()?.shapes {
+            for shape in deformer.model().blend_shapes()?.shapes.into_iter().take(MOST_SHAPES) {
                 let longest = shape.moves.iter().map(|m| m.length()).fold(0.0, f32::max);
                 let moves = |v: usize| shape.moves.get(v).is_some_and(|m| m.length() > MOVED * longest);
                 add(&shape.name, "blend shape", VertexSet::of(count, moves));

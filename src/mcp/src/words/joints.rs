@@ -1,6 +1,6 @@
 //! Joints: those of a model's skin, or those that are found in the shape of a body; and the words for them.
 
-use super::figure::Figure;
+use super::figure::RestFigure;
 use super::vertex_set::VertexSet;
 use glam::DVec3;
 use pliant_asset::{Model, MovingScene};
@@ -36,7 +36,7 @@ pub(crate) struct Joint {
 
 /// How much of a limb words mean.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Reach {
+enum LimbExtent {
     /// From the joint on to the ends.
     Onwards,
     /// What the bone itself holds.
@@ -46,43 +46,47 @@ enum Reach {
 }
 
 /// Words for limbs, and the bone of a body without its side.
-const LIMBS: [(&[&str], &str, Reach); 16] = [
-    (&["arm"], "Upper", Reach::Onwards),
-    (&["upper arm", "upperarm", "biceps"], "Upper", Reach::Own),
-    (&["shoulder", "clavicle", "collar"], "Clav", Reach::Own),
-    (&["forearm", "lower arm", "lowerarm"], "Fore", Reach::Own),
-    (&["elbow"], "Fore", Reach::Near),
-    (&["hand", "palm", "fist"], "Hand", Reach::Onwards),
-    (&["wrist"], "Hand", Reach::Near),
-    (&["leg"], "Thigh", Reach::Onwards),
-    (&["thigh", "upper leg", "upperleg"], "Thigh", Reach::Own),
-    (&["knee"], "Shin", Reach::Near),
-    (&["shin", "calf", "calve", "lower leg", "lowerleg"], "Shin", Reach::Own),
-    (&["foot"], "Foot", Reach::Onwards),
-    (&["ankle"], "Foot", Reach::Near),
-    (&["paw"], "Foot", Reach::Onwards),
-    (&["hip joint"], "Thigh", Reach::Near),
-    (&["armpit"], "Upper", Reach::Near),
+const LIMBS: [(&[&str], &str, LimbExtent); 16] = [
+    (&["arm"], "Upper", LimbExtent::Onwards),
+    (&["upper arm", "upperarm", "biceps"], "Upper", LimbExtent::Own),
+    (&["shoulder", "clavicle", "collar"], "Clav", LimbExtent::Own),
+    (&["forearm", "lower arm", "lowerarm"], "Fore", LimbExtent::Own),
+    (&["elbow"], "Fore", LimbExtent::Near),
+    (&["hand", "palm", "fist"], "Hand", LimbExtent::Onwards),
+    (&["wrist"], "Hand", LimbExtent::Near),
+    (&["leg"], "Thigh", LimbExtent::Onwards),
+    (&["thigh", "upper leg", "upperleg"], "Thigh", LimbExtent::Own),
+    (&["knee"], "Shin", LimbExtent::Near),
+    (
+        &["shin", "calf", "calve", "lower leg", "lowerleg"],
+        "Shin",
+        LimbExtent::Own,
+    ),
+    (&["foot"], "Foot", LimbExtent::Onwards),
+    (&["ankle"], "Foot", LimbExtent::Near),
+    (&["paw"], "Foot", LimbExtent::Onwards),
+    (&["hip joint"], "Thigh", LimbExtent::Near),
+    (&["armpit"], "Upper", LimbExtent::Near),
 ];
 /// Words for the trunk, and its bones.
-const TRUNK: [(&[&str], &[&str], Reach); 6] = [
-    (&["head", "skull", "face"], &["head"], Reach::Onwards),
-    (&["neck", "throat"], &["neck"], Reach::Own),
+const TRUNK: [(&[&str], &[&str], LimbExtent); 6] = [
+    (&["head", "skull", "face"], &["head"], LimbExtent::Onwards),
+    (&["neck", "throat"], &["neck"], LimbExtent::Own),
     (
         &["chest", "upper body", "ribs"],
         &["chest", "lClav", "rClav"],
-        Reach::Own,
+        LimbExtent::Own,
     ),
-    (&["hips", "hip", "pelvis", "waist"], &["pelvis"], Reach::Own),
+    (&["hips", "hip", "pelvis", "waist"], &["pelvis"], LimbExtent::Own),
     (
         &["spine", "belly", "abdomen", "stomach"],
         &["abdomen", "chest"],
-        Reach::Own,
+        LimbExtent::Own,
     ),
     (
         &["torso", "trunk", "body"],
         &["pelvis", "abdomen", "chest", "lClav", "rClav"],
-        Reach::Own,
+        LimbExtent::Own,
     ),
 ];
 /// Names of fingers in files.
@@ -90,7 +94,7 @@ const FINGERS: [&str; 7] = ["finger", "thumb", "index", "middle", "ring", "pinky
 
 impl Joints {
     /// The joints of a model: of its skin, else of the body that its shape is. `None` where it is none.
-    pub fn of(figure: &Figure<'_>) -> Result<Option<Self>, Error> {
+    pub fn of(figure: &RestFigure<'_>) -> Result<Option<Self>, Error> {
         let model = figure.deformer.model();
         if let Some(scene) = model.moving_scene()?
             && scene.is_joint.contains(&true)
@@ -158,7 +162,7 @@ impl Joints {
     }
 
     /// The joints of the rig that the model's skin or its shape makes.
-    fn of_rig(figure: &Figure<'_>) -> Result<Option<Self>, Error> {
+    fn of_rig(figure: &RestFigure<'_>) -> Result<Option<Self>, Error> {
         let order = RigOrder {
             up: Some(figure.axes.up),
             front: Some(figure.axes.front),
@@ -239,7 +243,7 @@ impl Joints {
     }
 
     /// What holds these joints, and the joints below them where `onwards`.
-    fn held(&self, figure: &Figure<'_>, roots: &[usize], onwards: bool) -> VertexSet {
+    fn held(&self, figure: &RestFigure<'_>, roots: &[usize], onwards: bool) -> VertexSet {
         let mut is_in = vec![false; self.joints.len()];
         for (j, joint) in self.joints.iter().enumerate() {
             is_in[j] = roots.contains(&j) || onwards && joint.parent.is_some_and(|p| is_in[p]);
@@ -252,7 +256,7 @@ impl Joints {
     }
 
     /// What lies near where a joint is, of what it and the joint above hold.
-    fn near(&self, figure: &Figure<'_>, joint: usize) -> VertexSet {
+    fn near(&self, figure: &RestFigure<'_>, joint: usize) -> VertexSet {
         let own = &self.joints[joint];
         let ends = self
             .joints
@@ -268,7 +272,7 @@ impl Joints {
     }
 
     /// What words for parts of a body mean: the vertices, the joint that they turn about, and what it is called.
-    pub fn body_part(&self, figure: &Figure<'_>, words: &[&str]) -> Option<(VertexSet, Option<DVec3>, String)> {
+    pub fn body_part(&self, figure: &RestFigure<'_>, words: &[&str]) -> Option<(VertexSet, Option<DVec3>, String)> {
         let sides: Vec<&str> = match words.iter().find(|w| matches!(**w, "left" | "right")) {
             Some(&"left") => vec!["l"],
             Some(_) => vec!["r"],
@@ -296,14 +300,14 @@ impl Joints {
         };
         let first = *roots.first()?;
         let set = match reach {
-            Reach::Near => {
+            LimbExtent::Near => {
                 (roots.iter()).fold(VertexSet::none(figure.count()), |set, j| set.or(&self.near(figure, *j)))
             }
-            reach => self.held(figure, &roots, reach == Reach::Onwards),
+            reach => self.held(figure, &roots, reach == LimbExtent::Onwards),
         };
         let names: Vec<&str> = roots.iter().map(|j| self.joints[*j].name.as_str()).collect();
         let pivot =
-            (roots.len() == 1 || matches!(reach, Reach::Own) && sides.len() == 2).then(|| self.joints[first].at);
+            (roots.len() == 1 || matches!(reach, LimbExtent::Own) && sides.len() == 2).then(|| self.joints[first].at);
         let what = if self.of_file {
             "the file's joint"
         } else {
@@ -313,7 +317,7 @@ impl Joints {
     }
 
     /// What joints hold whose names have all of the words: from the topmost of them on.
-    pub fn named(&self, figure: &Figure<'_>, words: &[&str]) -> Option<(VertexSet, Option<DVec3>, String)> {
+    pub fn named(&self, figure: &RestFigure<'_>, words: &[&str]) -> Option<(VertexSet, Option<DVec3>, String)> {
         let wanted: BTreeSet<String> = words.iter().map(|w| singular(w)).collect();
         let fits = |joint: &Joint| {
             let own = name_words(&joint.name);
@@ -339,11 +343,11 @@ impl Joints {
     }
 }
 
-fn told(reach: Reach) -> &'static str {
+fn told(reach: LimbExtent) -> &'static str {
     match reach {
-        Reach::Onwards => " and all beyond it",
-        Reach::Own => " alone",
-        Reach::Near => ", and what lies near it",
+        LimbExtent::Onwards => " and all beyond it",
+        LimbExtent::Own => " alone",
+        LimbExtent::Near => ", and what lies near it",
     }
 }
 

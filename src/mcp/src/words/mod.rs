@@ -8,7 +8,7 @@ mod sides;
 mod tips;
 mod vertex_set;
 
-pub(crate) use figure::Figure;
+pub(crate) use figure::RestFigure;
 pub(crate) use joints::Joints;
 pub(crate) use resolve::{Found, Resolver, plain_words};
 pub(crate) use vertex_set::VertexSet;

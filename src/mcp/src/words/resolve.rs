@@ -2,7 +2,7 @@
 //!
 //! `A and B`, `A but B` and `A of B` put regions together. What is resolved depends on model and words alone.
 
-use super::figure::Figure;
+use super::figure::RestFigure;
 use super::file_names::FileNames;
 use super::joints::Joints;
 use super::sides::{cut, sides_of};
@@ -47,7 +47,7 @@ impl Found {
 
 /// What words are resolved with: the figure, the names given before, and what is found on the way.
 pub(crate) struct Resolver<'a> {
-    pub figure: &'a Figure<'a>,
+    pub figure: &'a RestFigure<'a>,
     /// Regions that were named before, with their vertices and what they turn about.
     pub named: BTreeMap<String, (VertexSet, Option<DVec3>)>,
     /// The joints, once looked for; the inner value is `None` where there are none.
@@ -73,7 +73,7 @@ pub(crate) fn plain_words(text: &str) -> Vec<String> {
 
 impl<'a> Resolver<'a> {
     /// Resolves on a figure.
-    pub fn new(figure: &'a Figure<'a>, joints: Option<Option<Arc<Joints>>>) -> Self {
+    pub fn new(figure: &'a RestFigure<'a>, joints: Option<Option<Arc<Joints>>>) -> Self {
         let known = OnceCell::new();
         if let Some(joints) = joints {
             let _ = known.set(joints);

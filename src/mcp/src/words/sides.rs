@@ -1,6 +1,6 @@
 //! Sides: "left half", "top quarter", "upper third", "front", "bottom 10 %".
 
-use super::figure::Figure;
+use super::figure::RestFigure;
 use super::vertex_set::VertexSet;
 
 /// A side of something: along which axis of the upright figure, from which end, and how much of its length.
@@ -71,7 +71,7 @@ pub(crate) fn sides_of(words: &[&str]) -> Option<Vec<Side>> {
 }
 
 /// What lies on these sides of a set, measured by its box in the rest shape, and words for it.
-pub(crate) fn cut(figure: &Figure<'_>, whole: &VertexSet, sides: &[Side]) -> (VertexSet, String) {
+pub(crate) fn cut(figure: &RestFigure<'_>, whole: &VertexSet, sides: &[Side]) -> (VertexSet, String) {
     let upright = figure.upright();
     let rest = figure.deformer.rest();
     let mut set = whole.clone();

@@ -1,6 +1,6 @@
 //! Extremities: where the surface reaches farthest along itself from its middle.
 
-use super::figure::Figure;
+use super::figure::RestFigure;
 use super::sides::direction_of;
 use super::vertex_set::VertexSet;
 use glam::DVec3;
@@ -29,7 +29,7 @@ pub(crate) struct Tip {
 }
 
 /// The extremities of the largest part, the farthest first.
-pub(crate) fn find_tips(figure: &Figure<'_>) -> Result<Vec<Tip>, Error> {
+pub(crate) fn find_tips(figure: &RestFigure<'_>) -> Result<Vec<Tip>, Error> {
     let mesh = figure.mesh();
     let largest = figure.parts().first().and_then(|part| figure.part(part.0));
     let Some(own) = largest.map(|part| figure.welded(&part)).filter(|own| !own.is_empty()) else {
@@ -86,7 +86,7 @@ pub(crate) fn find_tips(figure: &Figure<'_>) -> Result<Vec<Tip>, Error> {
 
 impl Tip {
     /// What belongs to it.
-    pub fn region(&self, figure: &Figure<'_>, is_tail: bool) -> Result<VertexSet, Error> {
+    pub fn region(&self, figure: &RestFigure<'_>, is_tail: bool) -> Result<VertexSet, Error> {
         let reach = self.longest * if is_tail { TAIL } else { REACH };
         let around = figure.distances(&[self.end], None, reach)?;
         Ok(figure.rendered(|s| around[s as usize].is_finite()))

@@ -4,8 +4,8 @@ use crate::animation::frame_outbox::PreparedAnimation;
 use crate::animation::frame_outbox::StageReporter;
 use crate::answers::{CommittedPose, ExportedModel, TransferredModel};
 use crate::calls::command::{
-    CallOrigin, ExportModel, HandleChange, HistoryDirection, PrepareAnimation, QueuedCall, ReadShape, RecallPose,
-    SessionCommand, TaskCall, WorkOrder, with_pivots,
+    CallOrigin, ExportModel, HandleChange, HistoryDirection, PrepareAnimation, QueuedCall, RecallPose, SessionCommand,
+    TaskCall, WorkOrder, with_pivots,
 };
 use crate::calls::model_opening::{count_refusal, memory_needed, no_place};
 use crate::capacity::compute_slots::WorkLane;
@@ -32,7 +32,6 @@ use pliant_wire::{
     CarryOrder, CrossingsOrder, DeformOptions, MakeRigOrder, PoseCommit, SessionEdit, TransferOrder, made_rig_message,
     origin_of, pb, transfer_report, written_warnings,
 };
-use std::any::Any;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -44,7 +43,7 @@ const FEW_COMPARISONS: u64 = 100_000_000;
 const LIGHT_HANDLES: u64 = 16 << 18;
 
 /// Triangles up to which comparing each with each is a moment's work, as where a pose collapses the surface.
-const FEW_TRIANGLES: u32 = 10_000;
+pub(super) const FEW_TRIANGLES: u32 = 10_000;
 
 /// The lane of a commit with such options: counting crossings may compare each triangle with each.
 pub(crate) fn lane_of_commit(state: &SessionState, options: &DeformOptions) -> WorkLane {
@@ -52,7 +51,7 @@ pub(crate) fn lane_of_commit(state: &SessionState, options: &DeformOptions) -> W
 }
 
 /// The lane of work that is a moment's, or not.
-fn lane_of_work(is_light: bool) -> WorkLane {
+pub(super) fn lane_of_work(is_light: bool) -> WorkLane {
     match is_light {
         true => WorkLane::Interactive,
         false => WorkLane::Builds,
@@ -313,25 +312,6 @@ impl RunCall for CrossingsOrder {
     }
 }
 
-impl RunCall for ReadShape {
-    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<Box<dyn Any + Send>, Error> {
-        let positions = Arc::clone(&task.session.view().positions);
-        let topology = task.history.current().topology.clone();
-        let lane = lane_of_work(task.history.current().triangles() <= FEW_TRIANGLES);
-        let limit = task.shared.config.build;
-        let needed = (positions.len() as u64).saturating_mul(self.bytes_per_vertex);
-        reserve_more(task, needed, "looking at the model")?;
-        let (read, watch) = task
-            .compute(origin.order(WorkKind::Look, lane, limit), move |deformer, work| {
-                let exec = work.exec();
-                deformer.go_to_topology(topology.as_ref(), &exec)?;
-                (self.read)(deformer.deformer("looking at models")?, &positions, &exec)
-            })
-            .await?;
-        read.map_err(|e| task.failure(e, &watch))
-    }
-}
-
 impl RunCall for MakeRigOrder {
     async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<pb::MakeRigResponse, Error> {
         let topology = task.history.current().topology.clone();
@@ -567,7 +547,7 @@ fn reserve_for_clip(task: &mut SessionTask, bytes: usize) -> Result<(), Error> {
 }
 
 /// Reserves memory for `what` until the call is over.
-fn reserve_more(task: &mut SessionTask, needed: u64, what: &str) -> Result<(), Error> {
+pub(super) fn reserve_more(task: &mut SessionTask, needed: u64, what: &str) -> Result<(), Error> {
     let reserved = task.memory.grow_to(task.memory.bytes().saturating_add(needed));
     reserved.map_err(|shortage| {
         let text = format!("{what} would need {needed} bytes of memory, and {shortage}");
