@@ -1,7 +1,8 @@
 //! Pictures that an agent sees: a shape from several sides, with regions in colours.
 
-use crate::words::VertexSet;
+use crate::words::{VertexSet, name_words};
 use glam::{DMat3, DVec3, Vec3};
+use pliant_asset::Geometry;
 use pliant_core::engine::{Deformer, Error};
 use pliant_exec::Exec;
 use pliant_render::{
@@ -87,6 +88,33 @@ pub(crate) struct PictureOrder {
     pub size: [u32; 2],
 }
 
+/// Whether a mesh is for programs and not for the eye, by its name: a coarser level of detail, or a hull for collisions.
+pub(crate) fn is_hidden(name: &str) -> bool {
+    let words = name_words(name);
+    let is_hull = |word: &String| matches!(word.as_str(), "hull" | "collision" | "collider" | "ucx" | "ubx" | "usp");
+    let is_level = |pair: &[String]| pair[0] == "lod" && pair[1].parse::<u32>().is_ok_and(|level| level > 0);
+    words.iter().any(is_hull) || words.windows(2).any(is_level)
+}
+
+/// The triangles that are drawn: one that is hidden has one corner three times. Where everything is hidden, nothing is.
+fn shown(geometry: &Geometry) -> Vec<[u32; 3]> {
+    let mut triangles = geometry.triangles.clone();
+    let hidden: Vec<_> = geometry
+        .primitives
+        .iter()
+        .filter(|p| is_hidden(&p.name))
+        .map(|p| p.vertices())
+        .collect();
+    if hidden.len() < geometry.primitives.len() {
+        for t in &mut triangles {
+            if hidden.iter().any(|own| own.contains(&(t[0] as usize))) {
+                *t = [t[0]; 3];
+            }
+        }
+    }
+    triangles
+}
+
 /// Draws a shape, with regions in colours of their own and what they are called.
 pub(crate) fn draw(
     deformer: &Deformer,
@@ -112,7 +140,7 @@ pub(crate) fn draw(
                 last.map_or(PLAIN, |(k, _)| COLOURS[k % COLOURS.len()])
             };
             let colours: Vec<Vec3> = (0..places.len()).map(colour).collect();
-            let bare = ShadedSurface::new(&places, &deformer.geometry().triangles, exec.pool).map_err(refuse)?;
+            let bare = ShadedSurface::new(&places, &shown(deformer.geometry()), exec.pool).map_err(refuse)?;
             bare.with_colours(&colours).map_err(refuse)?
         }
     };
@@ -169,7 +197,8 @@ fn dressed(
     let places: Vec<DVec3> = own.iter().map(|p| upright * *p).collect();
     let mut faults = Vec::new();
     let dress = SurfaceDress::of_model(&drawn.look, &rest.primitives, &rest.triangles, &mut faults)?;
-    let surface = ShadedSurface::new(&places, &rest.triangles, exec.pool)?;
-    let shaded = surface.with_normals(&normals, &rest.triangles, drawn.look.is_flat_without_normals)?;
+    let triangles = shown(rest);
+    let surface = ShadedSurface::new(&places, &triangles, exec.pool)?;
+    let shaded = surface.with_normals(&normals, &triangles, drawn.look.is_flat_without_normals)?;
     Ok(Some(shaded.with_dress(Arc::new(dress))))
 }

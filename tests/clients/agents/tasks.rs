@@ -5,7 +5,7 @@ use crate::support::data::{data_root, report_skipped};
 use crate::support::gltf_draft::Draft;
 use crate::support::server::text;
 use crate::support::shapes::{Shape, both, cube, moved, obj_text, sphere};
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -381,7 +381,7 @@ fn pot() -> Vec<u8> {
     let mut meshes = Vec::new();
     let mut nodes = Vec::new();
     for (name, (points, faces)) in shapes {
-        let positions: Vec<[f32; 3]> = points.iter().map(|p| p.as_vec3()).map(Vec3::to_array).collect();
+        let positions: Vec<[f32; 3]> = points.iter().map(|p| p.as_vec3().to_array()).collect();
         let position = draft.floats(&positions, "VEC3");
         let indices: Vec<u8> = faces.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
         let indices = draft.add(&indices, 5125, "SCALAR", 3 * faces.len(), json!({}));
@@ -425,7 +425,8 @@ fn measured(agent: &mut Agent, session: &str, checks: &[Check], is_before: bool)
     assert_ne!(seen["isError"], true, "{}", facts(&seen));
     let mut all = facts(&seen).clone();
     for own in all["highlight"].as_array().cloned().unwrap_or_default() {
-        all["regions"][text(&own["words"])] = own;
+        let words = text(&own["words"]);
+        all["regions"][words] = own;
     }
     all
 }

@@ -4,7 +4,7 @@ use super::arguments::{CloseArguments, LookArguments, RegionArguments, SessionsA
 use super::scene::{Scene, SessionCaller};
 use crate::answer::{ToolAnswer, place, short};
 use crate::kept::{MOST_NAMES, NamedRegion};
-use crate::picture::{PictureOrder, draw};
+use crate::picture::{PictureOrder, draw, is_hidden};
 use crate::words::{VertexSet, plain_words};
 use pliant_core::engine::Error as EngineError;
 use pliant_core::mesh::BoundingBox;
@@ -110,6 +110,13 @@ impl SessionCaller {
                 }
             };
             text += &format!("Moved: {}; held: {}.\n", list(&moved), list(&still));
+        }
+        let hidden: Vec<&str> = (described.primitives.iter())
+            .map(|primitive| primitive.name.as_str())
+            .filter(|name| is_hidden(name))
+            .collect();
+        if !hidden.is_empty() {
+            text += &format!("Not drawn: {}.\n", hidden.join(", "));
         }
         text += &format!("In words, {words}.\nThe picture: {views}. {CONVENTIONS}");
         Ok(ToolAnswer {

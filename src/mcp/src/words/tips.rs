@@ -60,12 +60,9 @@ pub(crate) fn find_tips(figure: &RestFigure<'_>) -> Result<Vec<Tip>, Error> {
             continue;
         }
         let around = figure.distances(&[top], None, APART * longest)?;
-        let ring = |s: &u32| around[*s as usize].is_finite() && around[*s as usize] > 0.7 * APART * longest;
-        // All around a tip the ways are shorter; beside a bump of a flank some are longer.
-        let is_tip = own
-            .iter()
-            .filter(|s| ring(s))
-            .all(|s| way(*s) < way(top) - 0.25 * APART * longest);
+        // Around a tip the ways are shorter; beside a bump of a flank some are longer.
+        let is_near = |s: &u32| around[*s as usize].is_finite();
+        let is_tip = own.iter().filter(|s| is_near(s)).all(|s| way(*s) <= way(top));
         own.iter()
             .filter(|s| around[**s as usize].is_finite())
             .for_each(|s| taken[*s as usize] = true);
