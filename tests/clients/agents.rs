@@ -57,19 +57,19 @@ fn a_session_by_stdio_from_open_to_export() {
     assert_eq!(picture_size(&opened), [960, 480]);
     let named = agent.call(
         "region",
-        json!({"session": session, "words": "tail", "name": "Its Tail"}),
+        json!({"session": session, "words": "tail", "name": "The Wag"}),
     );
-    assert_eq!(facts(&named)["name"], "its tail");
+    assert_eq!(facts(&named)["name"], "wag");
     let posed = agent.call(
         "pose",
         json!({"session": session, "held": ["bottom 10%"],
-        "moved": [{"region": "its tail", "translation": [0, 0.3, 0]}]}),
+        "moved": [{"region": "wag", "translation": [0, 0.3, 0]}]}),
     );
     let moved = &facts(&posed)["moved"][0];
     assert!(facts(&posed)["quality"]["flippedTriangles"].is_number(), "{posed}");
     let risen = moved["center"][1].as_f64().expect("a number");
     let center_of = |look: &Value| facts(look)["highlight"][0]["center"][1].as_f64().expect("a number");
-    let look = json!({"session": session, "highlight": ["its tail"], "picture": {"views": ["three-quarter"], "width": 200, "height": 100}});
+    let look = json!({"session": session, "highlight": ["wag"], "picture": {"views": ["three-quarter"], "width": 200, "height": 100}});
     let seen = agent.call("look", look.clone());
     assert_eq!(picture_size(&seen), [200, 100]);
     assert!((center_of(&seen) - risen).abs() < 1e-9);

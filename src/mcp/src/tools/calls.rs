@@ -133,7 +133,8 @@ impl SessionCaller {
         let words = arguments.words;
         let name = plain_words(arguments.name.as_deref().unwrap_or(&words)).join(" ");
         if name.is_empty() || name.len() > 120 {
-            return Err(Error::invalid("name", "needs 1 to 120 bytes of letters and digits"));
+            let field = if arguments.name.is_some() { "name" } else { "words" };
+            return Err(Error::invalid(field, "needs 1 to 120 bytes of letters and digits"));
         }
         let (shown, asked) = (name.clone(), words.clone());
         let (found, topology, facts, png) = self

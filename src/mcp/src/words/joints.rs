@@ -100,9 +100,15 @@ impl Joints {
             && scene.is_joint.contains(&true)
             && !figure.deformer.is_edited()
         {
-            return Self::of_scene(model, &scene).map(Some);
+            let own = Self::of_scene(model, &scene)?;
+            // Joints without names can be asked for by none; those of a body are found in the shape then.
+            let is_named = own.joints.iter().any(|joint| !joint.name.is_empty());
+            return match is_named {
+                true => Ok(Some(own)),
+                false => Ok(Self::of_rig(figure, Some("cmu"))?.or(Some(own))),
+            };
         }
-        Self::of_rig(figure)
+        Self::of_rig(figure, None)
     }
 
     fn of_scene(model: &Model, scene: &MovingScene) -> Result<Self, Error> {
@@ -162,10 +168,11 @@ impl Joints {
     }
 
     /// The joints of the rig that the model's skin or its shape makes.
-    fn of_rig(figure: &RestFigure<'_>) -> Result<Option<Self>, Error> {
+    fn of_rig(figure: &RestFigure<'_>, preset: Option<&str>) -> Result<Option<Self>, Error> {
         let order = RigOrder {
             up: Some(figure.axes.up),
             front: Some(figure.axes.front),
+            preset,
             ..RigOrder::default()
         };
         let made = match figure.deformer.make_rig(&order, figure.exec) {
