@@ -260,7 +260,7 @@ fn tasks() -> Vec<Task> {
             "squeeze the middle of the bar",
             "bar.obj",
             vec![pose(
-                json!([{"region": "front half but left third but right third", "translation": [0, 0, -0.2]}]),
+                json!([{"region": "front half but left third but right third", "translation": [0, 0, -0.3]}]),
                 json!(["left end", "right end"]),
             )],
             vec![Goes("front half but left third but right third", down(Z), 0.02)],

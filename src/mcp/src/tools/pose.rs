@@ -9,6 +9,7 @@ use crate::picture::{PictureOrder, draw};
 use crate::words::{Found, VertexSet, plain_words};
 use glam::{DQuat, DVec3};
 use pliant_core::engine::Error as EngineError;
+use pliant_core::mesh::rotation::exp_rotation;
 use pliant_session::Error;
 use pliant_wire::pb;
 use serde_json::{Value, json};
@@ -290,7 +291,9 @@ fn prepare(
     }
     sets.extend(wanted.iter().map(|own| own.found.set.clone()));
     let band = blend.unwrap_or(BAND * figure.deformer.diagonal());
-    let trimmed = trim(scene, &sets, kept.len(), band)?;
+    let moves = kept.iter().map(|handle| handle.pose.is_some());
+    let moves: Vec<bool> = moves.chain(wanted.iter().map(|own| own.moved.is_some())).collect();
+    let trimmed = trim(scene, &sets, &moves, band)?.split_off(kept.len());
     let mut handles = kept;
     let mut report = Vec::new();
     for (own, set) in wanted.into_iter().zip(trimmed) {
@@ -393,7 +396,7 @@ fn handle_pose(
         ));
     }
     let pivot = pivot.unwrap_or(center);
-    let turned = turn.map_or(DQuat::IDENTITY, DQuat::from_scaled_axis);
+    let turned = turn.map_or(DQuat::IDENTITY, exp_rotation);
     let translation = match (asked.to, asked.translation) {
         (Some(to), _) => Some(DVec3::from_array(to) - (pivot + turned * (scale * (center - pivot)))),
         (None, Some(by)) => Some(DVec3::from_array(by)),
@@ -479,33 +482,29 @@ fn everything_else(
     Err(EngineError::invalid("held", problem))
 }
 
-/// The sets from `first` on without the band along where they meet others; later ones have what several hold.
-fn trim(scene: &Scene<'_>, sets: &[VertexSet], first: usize, band: f64) -> Result<Vec<VertexSet>, EngineError> {
+/// The sets without the band along where one that moves meets another; later ones have what several hold.
+fn trim(scene: &Scene<'_>, sets: &[VertexSet], moves: &[bool], band: f64) -> Result<Vec<VertexSet>, EngineError> {
     let figure = scene.figure;
     let count = figure.mesh().positions.len();
-    const FREE: usize = usize::MAX;
-    let mut owner = vec![FREE; count];
+    let mut owner: Vec<Option<usize>> = vec![None; count];
     for (k, set) in sets.iter().enumerate() {
-        figure.welded(set).into_iter().for_each(|s| owner[s as usize] = k);
+        figure.welded(set).into_iter().for_each(|s| owner[s as usize] = Some(k));
     }
-    let is_seam = |s: &u32| {
-        let own = owner[*s as usize];
-        own != FREE
-            && figure
-                .neighbours(*s)
-                .iter()
-                .any(|n| owner[*n as usize] != FREE && owner[*n as usize] != own)
+    let meets = |own: usize, other: u32| {
+        owner[other as usize].is_some_and(|other| other != own && (moves[own] || moves[other]))
     };
+    let is_seam =
+        |s: &u32| owner[*s as usize].is_some_and(|own| figure.neighbours(*s).iter().any(|other| meets(own, *other)));
     let seams: Vec<u32> = (0..count as u32).filter(is_seam).collect();
     let far = figure.distances(&seams, None, f64::INFINITY)?;
-    let mut trimmed = Vec::with_capacity(sets.len() - first);
-    for (k, set) in sets.iter().enumerate().skip(first) {
-        let mut own: Vec<f64> = (0..count).filter(|s| owner[*s] == k).map(|s| far[s]).collect();
+    let mut trimmed = Vec::with_capacity(sets.len());
+    for (k, set) in sets.iter().enumerate() {
+        let mut own: Vec<f64> = (0..count).filter(|s| owner[*s] == Some(k)).map(|s| far[s]).collect();
         own.sort_by(|a, b| b.total_cmp(a));
         // However wide the band, some of each region is left to hold it by.
         let least = own.get(((own.len() as f64 * KEPT) as usize).min(own.len().saturating_sub(1)));
         let from = least.map_or(0.0, |least| least.min(band));
-        let left = figure.rendered(|s| owner[s as usize] == k && (far[s as usize] >= from || seams.is_empty()));
+        let left = figure.rendered(|s| owner[s as usize] == Some(k) && (far[s as usize] >= from || seams.is_empty()));
         trimmed.push(left.and(set));
     }
     Ok(trimmed)
