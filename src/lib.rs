@@ -7,11 +7,12 @@
 //! |---|---|
 //! | [`cli`], [`batch`], [`check`] | people at a terminal; jobs run in process; results beside goldens |
 //! | [`server`] | gRPC, HTTP and WebSocket |
+//! | [`mcp`] | tools for agents |
 //! | [`session`] | state, commits, undo, the deform stream |
 //! | [`wire`] | messages, their JSON, and what they mean as values of the engine; the only checks of what clients send |
 //! | [`core`] | the deformer without a server: [`engine`] and what it is made of |
 //!
-//! Each of the last four is a crate of its own in `src`; `deploy/docs/architecture.md` lists them all.
+//! Each of the last five is a crate of its own in `src`; `deploy/docs/architecture.md` lists them all.
 
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
@@ -23,5 +24,5 @@ pub mod cli;
 pub use pliant_core as core;
 pub use pliant_core::{asset, deform, edit, engine, exec, graph, mesh, motion, pool, progress, render, solver};
 
-/// The schema; sessions; the server: a crate each.
-pub use {pliant_server as server, pliant_session as session, pliant_wire as wire};
+/// The schema; sessions; tools for agents; the server: a crate each.
+pub use {pliant_mcp as mcp, pliant_server as server, pliant_session as session, pliant_wire as wire};

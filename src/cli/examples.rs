@@ -105,6 +105,12 @@ Examples:
   pliant sample figure -o figure.glb
   pliant sample boxing -o boxing.bvh";
 
+/// `pliant mcp --help`.
+pub(super) const MCP: &str = "\
+Examples:
+  pliant mcp --root models
+  claude mcp add pliant -- pliant mcp --root models";
+
 /// `pliant token --help`.
 pub(super) const TOKEN: &str = "\
 Examples:

@@ -13,6 +13,7 @@ mod fit;
 mod health;
 mod input_files;
 mod inspect;
+mod mcp;
 mod output_files;
 mod render;
 mod rig;
@@ -74,6 +75,9 @@ enum PliantCommand {
     /// Write a built-in model or recording to a file
     #[command(after_help = examples::SAMPLE)]
     Sample(examples::SampleArgs),
+    /// Let an agent use pliant: the Model Context Protocol over stdin and stdout
+    #[command(after_help = examples::MCP)]
+    Mcp(mcp::McpArgs),
     /// Create an access token
     #[command(after_help = examples::TOKEN)]
     Token(token::TokenArgs),
@@ -107,6 +111,7 @@ pub fn main() -> ExitCode {
         PliantCommand::Fit(args) => fit::run_fit(&args),
         PliantCommand::Render(args) => render::run_render(&args),
         PliantCommand::Sample(args) => examples::run_sample(&args),
+        PliantCommand::Mcp(args) => mcp::run_mcp(&args),
         PliantCommand::Token(args) => token::run_token(&args),
         PliantCommand::Store(args) => store::run_store(&args),
         PliantCommand::Audit(args) => audit::run_audit(&args),

@@ -1,5 +1,6 @@
 //! Clients as their authors run them, with Python, Node and a browser, and the commands that the documentation shows.
 
+mod agents;
 mod avatars;
 mod cluster;
 mod monitoring;

@@ -15,10 +15,11 @@ use std::path::Path;
 use std::process::Command;
 
 /// Every page for users that has no test of its own.
-const PAGES: [&str; 28] = [
+const PAGES: [&str; 29] = [
     "README.md",
     "CONTRIBUTING.md",
     "deploy/README.md",
+    "deploy/docs/agents.md",
     "deploy/docs/animation.md",
     "deploy/docs/architecture.md",
     "deploy/docs/batches.md",
@@ -118,6 +119,17 @@ fn command_line() {
     let checkout = play("deploy/docs/command-line.md");
     if checkout.path("target/turned.glb").exists() {
         assert!(checkout.path("target/turned.png").exists(), "the picture is drawn");
+    }
+}
+
+#[test]
+fn agents() {
+    let checkout = play("deploy/docs/agents.md");
+    if checkout.path("target/agent-4-pose.png").exists() {
+        assert!(
+            checkout.path("target/reaching.glb").exists(),
+            "the posed figure is written"
+        );
     }
 }
 

@@ -86,6 +86,7 @@ fn call_of(work: WorkKind) -> Option<&'static str> {
         WorkKind::Rig => "/v1/sessions/{id}/rig",
         WorkKind::Transfer => "/v1/sessions/{id}/transfer",
         WorkKind::Crossings => "/v1/sessions/{id}/crossings",
+        WorkKind::Look => "/mcp",
         WorkKind::Animate | WorkKind::Frame | WorkKind::Clip => "/v1/sessions/{id}/animations",
         WorkKind::Settle => return None,
     })
@@ -189,6 +190,17 @@ async fn work_of_every_kind_has_its_own_name_below_the_call_that_asked_for_it() 
         .done("POST", &path("carry"), Some(&json!({"points": [0, 0, 0]})))
         .await;
     server.done("POST", &path("crossings"), Some(&json!({}))).await;
+    let look = json!({"jsonrpc": "2.0", "id": 1, "method": "tools/call",
+        "params": {"name": "look", "arguments": {"session": id}}});
+    let seen = server
+        .post("/mcp")
+        .header("accept", "application/json, text/event-stream");
+    assert_eq!(
+        seen.json(&look).answer().await.status().as_u16(),
+        200,
+        "{}",
+        server.log()
+    );
     // The bar is not a figure; the search is done all the same.
     server.call_with_key("POST", &path("rig"), Some(&json!({})), None).await;
     // Nor has it blend shapes, which is found by the work of a transfer.

@@ -5,6 +5,7 @@ use super::config::ServerConfig;
 use super::telemetry::Telemetry;
 use super::tls::TlsAcceptor;
 use super::uploads::{HeldUpload, UploadBudget};
+use pliant_mcp::HttpAgents;
 use pliant_session::{Error, Manager, Tenant};
 use std::sync::Arc;
 use tokio_util::sync::CancellationToken;
@@ -37,6 +38,8 @@ pub(super) struct Inner {
     pub sockets: TaskTracker,
     /// Bytes of one control message.
     pub message_bytes: usize,
+    /// The tools of agents.
+    pub agents: HttpAgents,
 }
 
 impl ServerState {
@@ -64,7 +67,9 @@ impl ServerState {
         let uploads = UploadBudget::new(sessions.upload_bytes, sessions.memory_bytes / 2, &manager);
         let message_bytes = usize::try_from(sessions.message_bytes).unwrap_or(usize::MAX);
         let telemetry = Telemetry::new();
+        let agents = HttpAgents::new(&manager);
         Ok(Self(Arc::new(Inner {
+            agents,
             manager,
             config,
             authenticator,

@@ -203,7 +203,8 @@ impl Deformer {
         self.derived.topology()
     }
 
-    pub(super) fn mesh(&self) -> &Mesh {
+    /// The rest surface with vertices at one point joined.
+    pub fn mesh(&self) -> &Mesh {
         &self.derived.mesh
     }
 

@@ -3,6 +3,7 @@
 //! The order of layers, outermost first: request number and count → rejections of the request filter → problem documents → compression of
 //! JSON → routes. Each call checks in the order authentication, session, then query and body.
 
+mod agents;
 mod body;
 mod create;
 mod docs;
@@ -78,6 +79,7 @@ fn routes() -> Router<ServerState> {
             "/v1/sessions/{id}/stream",
             get(websocket::upgrade).connect(websocket::upgrade),
         )
+        .route("/mcp", post(agents::call))
         .route("/v1/limits", get(sessions::limits))
         .route("/v1/sample.glb", get(pages::sample))
         .route("/healthz", get(pages::alive))

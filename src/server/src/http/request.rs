@@ -9,6 +9,7 @@ use axum::extract::{FromRequestParts, Path, Query, Request};
 use http::request::Parts;
 use http::{HeaderMap, StatusCode, Uri, header};
 use percent_encoding::percent_decode_str;
+use pliant_mcp::AgentCaller;
 use pliant_session::{CallKey, Error, Manager, Tenant};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -31,6 +32,15 @@ impl Caller {
     /// The sessions, with what is done noted as the caller's.
     pub fn manager(&self, state: &ServerState) -> Manager {
         state.manager.on_behalf_of(&self.name)
+    }
+
+    /// The caller as the tools of agents know it.
+    pub fn agent(&self) -> AgentCaller {
+        AgentCaller {
+            tenant: self.tenant.clone(),
+            name: Arc::clone(&self.name),
+            span: tracing::Span::current(),
+        }
     }
 
     /// The idempotency key. An invalid one fails here, not earlier, so that a missing session is reported first.

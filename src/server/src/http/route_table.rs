@@ -40,7 +40,7 @@ const OPENED_FORMAT: (&str, &str) = (
 );
 
 /// Every route but the pages for people.
-pub(crate) const ROUTES: [Route; 26] = [
+pub(crate) const ROUTES: [Route; 27] = [
     Route {
         method: "post",
         path: "/v1/sessions",
@@ -237,6 +237,12 @@ pub(crate) const ROUTES: [Route; 26] = [
         rpc: Some("Deform"),
         summary: "Upgrade to a WebSocket: binary DeformRequest messages in, binary DeformResponse messages out; optional sub-protocol pliant.v1.",
         status: 101,
+        ..PLAIN
+    },
+    Route {
+        method: "post",
+        path: "/mcp",
+        summary: "The Model Context Protocol (streamable HTTP) for agents: a JSON-RPC message in, its answer out. The tools open, show, pose, edit and export sessions; tools/list describes them.",
         ..PLAIN
     },
     Route {

@@ -24,6 +24,8 @@ pub enum AuditedAction {
     Stream,
     /// Its model or its positions were exported.
     Export,
+    /// A picture of it was drawn, or its regions were named.
+    Look,
     /// Something was carried along with it.
     Carry,
     /// Crossings of its surface were looked for.
@@ -52,6 +54,7 @@ impl AuditedAction {
             Self::Redo => "redo",
             Self::Stream => "stream",
             Self::Export => "export",
+            Self::Look => "look",
             Self::Carry => "carry",
             Self::Crossings => "crossings",
             Self::Rig => "rig",

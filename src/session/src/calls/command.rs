@@ -7,14 +7,18 @@ use crate::calls::idempotency::{KeyClaim, RequestFingerprint, answer_of_another_
 use crate::capacity::compute_slots::WorkLane;
 use crate::capacity::work_watch::WorkKind;
 use crate::error::{Error, ErrorCode};
+use glam::DVec3;
 use pliant_asset::Format;
-use pliant_core::engine::{Handle, HandlePose, HandlePoses, HandleSet};
+use pliant_core::engine;
+use pliant_core::engine::{Deformer, Handle, HandlePose, HandlePoses, HandleSet};
+use pliant_exec::Exec;
 use pliant_exec::progress::CancelFlag;
 use pliant_wire::record::AnsweredFrame;
 use pliant_wire::{
     AnimateOrder, CarryOrder, CrossingsOrder, HandlePatch, MakeRigOrder, PoseCommit, SessionEdit, TransferOrder, pb,
 };
 use prost::Message as _;
+use std::any::Any;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
@@ -101,6 +105,7 @@ session_calls! {
     MakeRig: MakeRigOrder => pb::MakeRigResponse;
     Transfer: TransferOrder => TransferredModel;
     Animate: PrepareAnimation => PreparedAnimation;
+    Look: ReadShape => Box<dyn Any + Send>;
 }
 
 impl KeyedCall for HandleChange {
@@ -146,6 +151,16 @@ pub(crate) struct RecallPose {
 
 /// The model in its current shape, in a format or the one that it came in.
 pub(crate) struct ExportModel(pub Option<Format>);
+
+/// Reads the rest shape, the positions of the current committed shape, and whatever else a deformer knows of its model.
+pub(crate) type ShapeReader =
+    Box<dyn FnOnce(&Deformer, &[DVec3], &Exec<'_>) -> Result<Box<dyn Any + Send>, engine::Error> + Send>;
+
+/// Reads the current committed shape, with at most so many bytes of scratch for each vertex.
+pub(crate) struct ReadShape {
+    pub bytes_per_vertex: u64,
+    pub read: ShapeReader,
+}
 
 /// Prepares an animation and reports stages to its reader.
 pub(crate) struct PrepareAnimation {

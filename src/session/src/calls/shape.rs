@@ -6,14 +6,18 @@ use crate::animation::animation_task::gather_clip;
 use crate::animation::frame_outbox::{AnimationControl, AnimationReader, FrameOutbox, animation_ends};
 use crate::answers::{AnimatedModel, ExportedModel, PositionBuffer, Tenant, TransferredModel, WorkOwner};
 use crate::audit::audit_entry::AuditedAction;
-use crate::calls::command::ExportModel;
+use crate::calls::command::{ExportModel, ReadShape, ShapeReader};
 use crate::calls::manager::Manager;
 use crate::capacity::memory_use::MemoryUse;
-use crate::error::Error;
+use crate::error::{Error, ErrorCode};
 use crate::registry::OpenSession;
 use crate::stream::ends::{StreamInput, StreamOutput, stream_ends};
 use crate::stream::mailbox::Mailbox;
+use glam::DVec3;
 use pliant_asset::Format;
+use pliant_core::engine;
+use pliant_core::engine::Deformer;
+use pliant_exec::Exec;
 use pliant_wire::frames::{FrameOutput, f32_bytes};
 use pliant_wire::{AnimateOrder, CarryOrder, CrossingsOrder, MakeRigOrder, TransferOrder, origin_of, pb};
 use std::sync::Arc;
@@ -45,6 +49,30 @@ impl Manager {
             &session.view(),
             format.unwrap_or(session.format).name(),
         ))
+    }
+
+    /// Reads the current committed shape on the compute threads: `read` gets the deformer, the positions and the threads, and needs at most
+    /// so many bytes for each render vertex. Nothing changes.
+    ///
+    /// # Cancel safety
+    /// Dropping the future stops the work where `read` looks.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`; what `read` fails with.
+    pub async fn look<T: Send + 'static>(
+        &self,
+        tenant: &Tenant,
+        id: &str,
+        bytes_per_vertex: u64,
+        read: impl FnOnce(&Deformer, &[DVec3], &Exec<'_>) -> Result<T, engine::Error> + Send + 'static,
+    ) -> Result<T, Error> {
+        let session = self.find(tenant, id).await?;
+        let read: ShapeReader = Box::new(|deformer, positions, exec| Ok(Box::new(read(deformer, positions, exec)?)));
+        let order = ReadShape { bytes_per_vertex, read };
+        let seen = self.call(&session, None, order).await?;
+        self.note(tenant, AuditedAction::Look, id).await;
+        let other = || Error::new(ErrorCode::Internal, "what was read of a shape is of another type");
+        Ok(*seen.downcast().map_err(|_| other())?)
     }
 
     /// Carries points, and another model, along with the current committed shape. Nothing changes.

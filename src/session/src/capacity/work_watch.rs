@@ -175,6 +175,8 @@ work_kinds! {
     Export "export",
     /// Points or another model are carried along with the shape.
     Carry "carry",
+    /// The shape is read, for a picture or to resolve words.
+    Look "look",
     /// Crossings of the current shape are looked for.
     Crossings "crossings",
     /// A rig is made.

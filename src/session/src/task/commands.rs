@@ -43,7 +43,7 @@ const FEW_COMPARISONS: u64 = 100_000_000;
 const LIGHT_HANDLES: u64 = 16 << 18;
 
 /// Triangles up to which comparing each with each is a moment's work, as where a pose collapses the surface.
-const FEW_TRIANGLES: u32 = 10_000;
+pub(super) const FEW_TRIANGLES: u32 = 10_000;
 
 /// The lane of a commit with such options: counting crossings may compare each triangle with each.
 pub(crate) fn lane_of_commit(state: &SessionState, options: &DeformOptions) -> WorkLane {
@@ -51,7 +51,7 @@ pub(crate) fn lane_of_commit(state: &SessionState, options: &DeformOptions) -> W
 }
 
 /// The lane of work that is a moment's, or not.
-fn lane_of_work(is_light: bool) -> WorkLane {
+pub(super) fn lane_of_work(is_light: bool) -> WorkLane {
     match is_light {
         true => WorkLane::Interactive,
         false => WorkLane::Builds,
@@ -82,6 +82,7 @@ impl SessionTask {
             SessionCommand::MakeRig(call) => self.serve(*call).await,
             SessionCommand::Transfer(call) => self.serve(*call).await,
             SessionCommand::Animate(call) => self.serve(*call).await,
+            SessionCommand::Look(call) => self.serve(*call).await,
         }
     }
 
@@ -546,7 +547,7 @@ fn reserve_for_clip(task: &mut SessionTask, bytes: usize) -> Result<(), Error> {
 }
 
 /// Reserves memory for `what` until the call is over.
-fn reserve_more(task: &mut SessionTask, needed: u64, what: &str) -> Result<(), Error> {
+pub(super) fn reserve_more(task: &mut SessionTask, needed: u64, what: &str) -> Result<(), Error> {
     let reserved = task.memory.grow_to(task.memory.bytes().saturating_add(needed));
     reserved.map_err(|shortage| {
         let text = format!("{what} would need {needed} bytes of memory, and {shortage}");

@@ -3,5 +3,6 @@
 pub(super) mod adopted_parts;
 mod commands;
 mod keep_commit;
+mod look;
 pub(super) mod session_task;
 mod stream_turn;

@@ -344,15 +344,34 @@ pub struct BoundModel {
 /// # Errors
 /// [`Error::Invalid`] for a number of influences out of range or a model without vertices.
 pub fn bind_model(model: &Model, rig: &MotionRig, influences: usize, exec: &Exec<'_>) -> Result<BoundModel, Error> {
+    Ok(BoundModel {
+        joints: rig_joints(rig),
+        influences: bind_surface(&model.positions, &model.triangles, rig, influences, exec)?,
+    })
+}
+
+fn bind_surface(
+    positions: &[DVec3],
+    triangles: &[[u32; 3]],
+    rig: &MotionRig,
+    influences: usize,
+    exec: &Exec<'_>,
+) -> Result<Vec<BoneInfluences>, Error> {
     let options = SkinWeightOptions {
         influences,
         ..SkinWeightOptions::default()
     };
-    let found = skin_weights(&model.positions, &model.triangles, &skin_bones(rig), &options, exec);
-    Ok(BoundModel {
-        joints: rig_joints(rig),
-        influences: found?,
-    })
+    Ok(skin_weights(positions, triangles, &skin_bones(rig), &options, exec)?)
+}
+
+impl Deformer {
+    /// Which bones of a rig carry each render vertex of the rest shape as edits have left it, by the shape alone.
+    ///
+    /// # Errors
+    /// Those of [`bind_model`].
+    pub fn bind(&self, rig: &MotionRig, influences: usize, exec: &Exec<'_>) -> Result<Vec<BoneInfluences>, Error> {
+        bind_surface(self.rest(), &self.geometry().triangles, rig, influences, exec)
+    }
 }
 
 /// Which bones of a rig that was made of a model's skin carry each of its vertices: what the skin says, each joint's share with
