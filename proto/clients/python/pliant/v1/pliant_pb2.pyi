@@ -325,7 +325,7 @@ class SolverFacts(_message.Message):
     def __init__(self, solver_vertices: _Optional[int] = ..., graph_vertices: _Optional[int] = ..., graph_edges: _Optional[int] = ..., components: _Optional[int] = ..., levels: _Optional[_Iterable[_Union[SolverFacts.Level, _Mapping]]] = ..., bytes: _Optional[int] = ..., ties: _Optional[int] = ..., loose_parts: _Optional[int] = ..., loose: _Optional[_Iterable[_Union[SolverFacts.LoosePart, _Mapping]]] = ..., stiff_parts: _Optional[int] = ...) -> None: ...
 
 class Session(_message.Message):
-    __slots__ = ("id", "revision", "primitives", "warnings", "build_ms", "model", "solver", "expires_at", "label", "handles", "limits", "created_at", "origin")
+    __slots__ = ("id", "revision", "primitives", "warnings", "build_ms", "model", "solver", "expires_at", "label", "handles", "limits", "created_at", "origin", "work")
     class BuildMsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -346,6 +346,7 @@ class Session(_message.Message):
     LIMITS_FIELD_NUMBER: _ClassVar[int]
     CREATED_AT_FIELD_NUMBER: _ClassVar[int]
     ORIGIN_FIELD_NUMBER: _ClassVar[int]
+    WORK_FIELD_NUMBER: _ClassVar[int]
     id: str
     revision: int
     primitives: _containers.RepeatedCompositeFieldContainer[Primitive]
@@ -359,7 +360,20 @@ class Session(_message.Message):
     limits: Limits
     created_at: str
     origin: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, id: _Optional[str] = ..., revision: _Optional[int] = ..., primitives: _Optional[_Iterable[_Union[Primitive, _Mapping]]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., build_ms: _Optional[_Mapping[str, float]] = ..., model: _Optional[_Union[ModelFacts, _Mapping]] = ..., solver: _Optional[_Union[SolverFacts, _Mapping]] = ..., expires_at: _Optional[str] = ..., label: _Optional[str] = ..., handles: _Optional[_Iterable[_Union[HandleFacts, _Mapping]]] = ..., limits: _Optional[_Union[Limits, _Mapping]] = ..., created_at: _Optional[str] = ..., origin: _Optional[_Iterable[float]] = ...) -> None: ...
+    work: Work
+    def __init__(self, id: _Optional[str] = ..., revision: _Optional[int] = ..., primitives: _Optional[_Iterable[_Union[Primitive, _Mapping]]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., build_ms: _Optional[_Mapping[str, float]] = ..., model: _Optional[_Union[ModelFacts, _Mapping]] = ..., solver: _Optional[_Union[SolverFacts, _Mapping]] = ..., expires_at: _Optional[str] = ..., label: _Optional[str] = ..., handles: _Optional[_Iterable[_Union[HandleFacts, _Mapping]]] = ..., limits: _Optional[_Union[Limits, _Mapping]] = ..., created_at: _Optional[str] = ..., origin: _Optional[_Iterable[float]] = ..., work: _Optional[_Union[Work, _Mapping]] = ...) -> None: ...
+
+class Work(_message.Message):
+    __slots__ = ("kind", "stage", "fraction", "elapsed_ms")
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    STAGE_FIELD_NUMBER: _ClassVar[int]
+    FRACTION_FIELD_NUMBER: _ClassVar[int]
+    ELAPSED_MS_FIELD_NUMBER: _ClassVar[int]
+    kind: str
+    stage: str
+    fraction: float
+    elapsed_ms: float
+    def __init__(self, kind: _Optional[str] = ..., stage: _Optional[str] = ..., fraction: _Optional[float] = ..., elapsed_ms: _Optional[float] = ...) -> None: ...
 
 class HandleFacts(_message.Message):
     __slots__ = ("id", "vertices", "interior_nodes", "centroid", "pose", "pivot", "found_turn")
@@ -456,7 +470,7 @@ class GetLimitsRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class Region(_message.Message):
-    __slots__ = ("vertices", "half_space", "sphere", "box", "capsule", "tube", "component", "primitive", "weights")
+    __slots__ = ("vertices", "half_space", "sphere", "box", "capsule", "tube", "component", "primitive", "weights", "anchors")
     class Range(_message.Message):
         __slots__ = ("first", "count")
         FIRST_FIELD_NUMBER: _ClassVar[int]
@@ -517,6 +531,15 @@ class Region(_message.Message):
         VALUES_FIELD_NUMBER: _ClassVar[int]
         values: _containers.RepeatedScalarFieldContainer[float]
         def __init__(self, values: _Optional[_Iterable[float]] = ...) -> None: ...
+    class Anchors(_message.Message):
+        __slots__ = ("faces", "corners", "weights")
+        FACES_FIELD_NUMBER: _ClassVar[int]
+        CORNERS_FIELD_NUMBER: _ClassVar[int]
+        WEIGHTS_FIELD_NUMBER: _ClassVar[int]
+        faces: _containers.RepeatedScalarFieldContainer[int]
+        corners: _containers.RepeatedScalarFieldContainer[int]
+        weights: _containers.RepeatedScalarFieldContainer[float]
+        def __init__(self, faces: _Optional[_Iterable[int]] = ..., corners: _Optional[_Iterable[int]] = ..., weights: _Optional[_Iterable[float]] = ...) -> None: ...
     VERTICES_FIELD_NUMBER: _ClassVar[int]
     HALF_SPACE_FIELD_NUMBER: _ClassVar[int]
     SPHERE_FIELD_NUMBER: _ClassVar[int]
@@ -526,6 +549,7 @@ class Region(_message.Message):
     COMPONENT_FIELD_NUMBER: _ClassVar[int]
     PRIMITIVE_FIELD_NUMBER: _ClassVar[int]
     WEIGHTS_FIELD_NUMBER: _ClassVar[int]
+    ANCHORS_FIELD_NUMBER: _ClassVar[int]
     vertices: Region.Vertices
     half_space: Region.HalfSpace
     sphere: Region.Sphere
@@ -535,7 +559,8 @@ class Region(_message.Message):
     component: Region.Part
     primitive: Region.Part
     weights: Region.Weights
-    def __init__(self, vertices: _Optional[_Union[Region.Vertices, _Mapping]] = ..., half_space: _Optional[_Union[Region.HalfSpace, _Mapping]] = ..., sphere: _Optional[_Union[Region.Sphere, _Mapping]] = ..., box: _Optional[_Union[Region.Box, _Mapping]] = ..., capsule: _Optional[_Union[Region.Capsule, _Mapping]] = ..., tube: _Optional[_Union[Region.Tube, _Mapping]] = ..., component: _Optional[_Union[Region.Part, _Mapping]] = ..., primitive: _Optional[_Union[Region.Part, _Mapping]] = ..., weights: _Optional[_Union[Region.Weights, _Mapping]] = ...) -> None: ...
+    anchors: Region.Anchors
+    def __init__(self, vertices: _Optional[_Union[Region.Vertices, _Mapping]] = ..., half_space: _Optional[_Union[Region.HalfSpace, _Mapping]] = ..., sphere: _Optional[_Union[Region.Sphere, _Mapping]] = ..., box: _Optional[_Union[Region.Box, _Mapping]] = ..., capsule: _Optional[_Union[Region.Capsule, _Mapping]] = ..., tube: _Optional[_Union[Region.Tube, _Mapping]] = ..., component: _Optional[_Union[Region.Part, _Mapping]] = ..., primitive: _Optional[_Union[Region.Part, _Mapping]] = ..., weights: _Optional[_Union[Region.Weights, _Mapping]] = ..., anchors: _Optional[_Union[Region.Anchors, _Mapping]] = ...) -> None: ...
 
 class HandlePose(_message.Message):
     __slots__ = ("translation", "rotation", "rotation_vector", "scale", "pivot", "free_rotation", "targets", "guide")
@@ -601,14 +626,16 @@ class GuidePose(_message.Message):
     def __init__(self, positions: _Optional[_Iterable[float]] = ..., twists: _Optional[_Iterable[float]] = ..., scales: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class VertexTargets(_message.Message):
-    __slots__ = ("positions", "weights", "first")
+    __slots__ = ("positions", "weights", "first", "normals")
     POSITIONS_FIELD_NUMBER: _ClassVar[int]
     WEIGHTS_FIELD_NUMBER: _ClassVar[int]
     FIRST_FIELD_NUMBER: _ClassVar[int]
+    NORMALS_FIELD_NUMBER: _ClassVar[int]
     positions: bytes
     weights: bytes
     first: int
-    def __init__(self, positions: _Optional[bytes] = ..., weights: _Optional[bytes] = ..., first: _Optional[int] = ...) -> None: ...
+    normals: bytes
+    def __init__(self, positions: _Optional[bytes] = ..., weights: _Optional[bytes] = ..., first: _Optional[int] = ..., normals: _Optional[bytes] = ...) -> None: ...
 
 class Handle(_message.Message):
     __slots__ = ("id", "region", "constrains", "stiffness", "rigid", "pose", "falloff", "targets", "guide")
@@ -621,7 +648,7 @@ class Handle(_message.Message):
     ROTATION: Handle.Constrains
     SCALE: Handle.Constrains
     class Targets(_message.Message):
-        __slots__ = ("stiffness_per",)
+        __slots__ = ("stiffness_per", "tangential")
         class StiffnessPer(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
             __slots__ = ()
             VERTEX: _ClassVar[Handle.Targets.StiffnessPer]
@@ -629,8 +656,10 @@ class Handle(_message.Message):
         VERTEX: Handle.Targets.StiffnessPer
         AREA: Handle.Targets.StiffnessPer
         STIFFNESS_PER_FIELD_NUMBER: _ClassVar[int]
+        TANGENTIAL_FIELD_NUMBER: _ClassVar[int]
         stiffness_per: Handle.Targets.StiffnessPer
-        def __init__(self, stiffness_per: _Optional[_Union[Handle.Targets.StiffnessPer, str]] = ...) -> None: ...
+        tangential: float
+        def __init__(self, stiffness_per: _Optional[_Union[Handle.Targets.StiffnessPer, str]] = ..., tangential: _Optional[float] = ...) -> None: ...
     ID_FIELD_NUMBER: _ClassVar[int]
     REGION_FIELD_NUMBER: _ClassVar[int]
     CONSTRAINS_FIELD_NUMBER: _ClassVar[int]
@@ -1454,7 +1483,12 @@ class Chunk(_message.Message):
     def __init__(self, data: _Optional[bytes] = ..., uri: _Optional[str] = ..., followed: _Optional[_Union[Followed, _Mapping]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., transferred: _Optional[_Union[TransferReport, _Mapping]] = ...) -> None: ...
 
 class TransferRequest(_message.Message):
-    __slots__ = ("session_id", "model", "session", "format", "landmarks", "shape", "shape_format", "output")
+    __slots__ = ("session_id", "model", "session", "format", "landmarks", "shape", "shape_format", "output", "fit")
+    class Fit(_message.Message):
+        __slots__ = ("clearance",)
+        CLEARANCE_FIELD_NUMBER: _ClassVar[int]
+        clearance: float
+        def __init__(self, clearance: _Optional[float] = ...) -> None: ...
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     MODEL_FIELD_NUMBER: _ClassVar[int]
     SESSION_FIELD_NUMBER: _ClassVar[int]
@@ -1463,6 +1497,7 @@ class TransferRequest(_message.Message):
     SHAPE_FIELD_NUMBER: _ClassVar[int]
     SHAPE_FORMAT_FIELD_NUMBER: _ClassVar[int]
     OUTPUT_FIELD_NUMBER: _ClassVar[int]
+    FIT_FIELD_NUMBER: _ClassVar[int]
     session_id: str
     model: bytes
     session: str
@@ -1471,10 +1506,11 @@ class TransferRequest(_message.Message):
     shape: bytes
     shape_format: str
     output: str
-    def __init__(self, session_id: _Optional[str] = ..., model: _Optional[bytes] = ..., session: _Optional[str] = ..., format: _Optional[str] = ..., landmarks: _Optional[_Iterable[_Union[EditRequest.Wrap.Landmark, _Mapping]]] = ..., shape: _Optional[bytes] = ..., shape_format: _Optional[str] = ..., output: _Optional[str] = ...) -> None: ...
+    fit: TransferRequest.Fit
+    def __init__(self, session_id: _Optional[str] = ..., model: _Optional[bytes] = ..., session: _Optional[str] = ..., format: _Optional[str] = ..., landmarks: _Optional[_Iterable[_Union[EditRequest.Wrap.Landmark, _Mapping]]] = ..., shape: _Optional[bytes] = ..., shape_format: _Optional[str] = ..., output: _Optional[str] = ..., fit: _Optional[_Union[TransferRequest.Fit, _Mapping]] = ...) -> None: ...
 
 class TransferReport(_message.Message):
-    __slots__ = ("shapes", "clips", "wrap")
+    __slots__ = ("shapes", "clips", "wrap", "fit")
     class Shape(_message.Message):
         __slots__ = ("name", "moved_vertices", "largest_move", "flipped_triangles", "flipped_in_source")
         NAME_FIELD_NUMBER: _ClassVar[int]
@@ -1488,13 +1524,32 @@ class TransferReport(_message.Message):
         flipped_triangles: int
         flipped_in_source: int
         def __init__(self, name: _Optional[str] = ..., moved_vertices: _Optional[int] = ..., largest_move: _Optional[float] = ..., flipped_triangles: _Optional[int] = ..., flipped_in_source: _Optional[int] = ...) -> None: ...
+    class Fit(_message.Message):
+        __slots__ = ("vertices", "inside_at_rest", "inside_carried", "inside", "crossings_carried", "crossings", "edge_distortion")
+        VERTICES_FIELD_NUMBER: _ClassVar[int]
+        INSIDE_AT_REST_FIELD_NUMBER: _ClassVar[int]
+        INSIDE_CARRIED_FIELD_NUMBER: _ClassVar[int]
+        INSIDE_FIELD_NUMBER: _ClassVar[int]
+        CROSSINGS_CARRIED_FIELD_NUMBER: _ClassVar[int]
+        CROSSINGS_FIELD_NUMBER: _ClassVar[int]
+        EDGE_DISTORTION_FIELD_NUMBER: _ClassVar[int]
+        vertices: int
+        inside_at_rest: int
+        inside_carried: int
+        inside: int
+        crossings_carried: int
+        crossings: int
+        edge_distortion: float
+        def __init__(self, vertices: _Optional[int] = ..., inside_at_rest: _Optional[int] = ..., inside_carried: _Optional[int] = ..., inside: _Optional[int] = ..., crossings_carried: _Optional[int] = ..., crossings: _Optional[int] = ..., edge_distortion: _Optional[float] = ...) -> None: ...
     SHAPES_FIELD_NUMBER: _ClassVar[int]
     CLIPS_FIELD_NUMBER: _ClassVar[int]
     WRAP_FIELD_NUMBER: _ClassVar[int]
+    FIT_FIELD_NUMBER: _ClassVar[int]
     shapes: _containers.RepeatedCompositeFieldContainer[TransferReport.Shape]
     clips: int
     wrap: WrapReport
-    def __init__(self, shapes: _Optional[_Iterable[_Union[TransferReport.Shape, _Mapping]]] = ..., clips: _Optional[int] = ..., wrap: _Optional[_Union[WrapReport, _Mapping]] = ...) -> None: ...
+    fit: TransferReport.Fit
+    def __init__(self, shapes: _Optional[_Iterable[_Union[TransferReport.Shape, _Mapping]]] = ..., clips: _Optional[int] = ..., wrap: _Optional[_Union[WrapReport, _Mapping]] = ..., fit: _Optional[_Union[TransferReport.Fit, _Mapping]] = ...) -> None: ...
 
 class CarryRequest(_message.Message):
     __slots__ = ("session_id", "points", "rotations", "model", "format")
