@@ -206,18 +206,15 @@ fn means_everything_else(words: &str) -> bool {
     )
 }
 
-/// Resolves the regions of a pose and makes handles of them beside those `before`.
-fn prepare(
+/// The regions that a pose names, and how each moves.
+fn named_regions(
     scene: &Scene<'_>,
     moved: &[MovedArguments],
-    held: Option<&[String]>,
-    blend: Option<f64>,
-    before: Vec<pb::Handle>,
-) -> Result<Prepared, EngineError> {
-    let figure = scene.figure;
+    held: &[String],
+    before: &[pb::Handle],
+) -> Result<Vec<WantedHandle>, EngineError> {
     let mut wanted: Vec<WantedHandle> = Vec::new();
-    let mut holds_rest = held.is_some_and(|held| held.iter().any(|words| means_everything_else(words)));
-    for (k, words) in held.unwrap_or_default().iter().enumerate() {
+    for (k, words) in held.iter().enumerate() {
         let id = handle_id(words);
         if means_everything_else(words) || before.iter().any(|handle| handle.id == id) {
             continue;
@@ -250,6 +247,20 @@ fn prepare(
             moved: Some(pose),
         });
     }
+    Ok(wanted)
+}
+
+/// Resolves the regions of a pose and makes handles of them beside those `before`.
+fn prepare(
+    scene: &Scene<'_>,
+    moved: &[MovedArguments],
+    held: Option<&[String]>,
+    blend: Option<f64>,
+    before: Vec<pb::Handle>,
+) -> Result<Prepared, EngineError> {
+    let figure = scene.figure;
+    let mut wanted = named_regions(scene, moved, held.unwrap_or_default(), &before)?;
+    let mut holds_rest = held.is_some_and(|held| held.iter().any(|words| means_everything_else(words)));
     let is_same = |handle: &pb::Handle| wanted.iter().any(|own| own.id == handle.id);
     holds_rest |= held.is_none()
         && before
