@@ -108,8 +108,7 @@ Examples:
 /// `pliant mcp --help`.
 pub(super) const MCP: &str = "\
 Examples:
-  pliant mcp --root models
-  claude mcp add pliant -- pliant mcp --root models";
+  pliant mcp --root models";
 
 /// `pliant token --help`.
 pub(super) const TOKEN: &str = "\

@@ -210,7 +210,8 @@ impl LayerSides {
         } else {
             2.0 * reach
         };
-        let found = surface.tree.closest_point_where(point, within, &is_near)?;
+        let may_be = |node: usize| surface.of_node[node].is_none_or(|part| part == beside.part);
+        let found = surface.tree.closest_point_below(point, within, &may_be, &is_near)?;
         let (place, along) = surface.distance(point, found.triangle);
         let far = place.distance(point);
         let distance = beside.side * along.signum() * far;
@@ -259,6 +260,8 @@ struct PartedSurface<'a> {
     part: &'a [u32],
     normals: Vec<DVec3>,
     tree: TriangleBvh<'a>,
+    /// By node of the tree, the part that all below are of.
+    of_node: Vec<Option<u32>>,
 }
 
 impl<'a> PartedSurface<'a> {
@@ -270,12 +273,15 @@ impl<'a> PartedSurface<'a> {
             t.iter().for_each(|v| normals[*v as usize] += normal);
         }
         normals.iter_mut().for_each(|n| *n = n.normalize_or_zero());
+        let tree = TriangleBvh::build(positions, triangles, exec.pool);
+        let of_node = tree.labels_of_nodes(|t| part[triangles[t as usize][0] as usize]);
         Self {
             positions,
             triangles,
             part,
             normals,
-            tree: TriangleBvh::build(positions, triangles, exec.pool),
+            tree,
+            of_node,
         }
     }
 
@@ -300,7 +306,8 @@ impl<'a> PartedSurface<'a> {
         for k in 0..MOST_BESIDE {
             let reach = reach[k.min(1)];
             let is_other = |t: u32| !seen.contains(&self.part_of(t));
-            let Some(found) = self.tree.closest_point_where(point, reach, &is_other) else {
+            let may_be = |node: usize| self.of_node[node].is_none_or(|part| !seen.contains(&part));
+            let Some(found) = self.tree.closest_point_below(point, reach, &may_be, &is_other) else {
                 break;
             };
             let part = self.part_of(found.triangle);

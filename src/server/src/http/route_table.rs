@@ -39,8 +39,8 @@ const OPENED_FORMAT: (&str, &str) = (
     "glb (or vrm), gltf, obj, ply, off, stl, 3mf, fbx, splat or spz",
 );
 
-/// Every route but the pages for people.
-pub(crate) const ROUTES: [Route; 27] = [
+/// Every route but the pages for people, and `/mcp`, which tells agents its tools by its own protocol.
+pub(crate) const ROUTES: [Route; 26] = [
     Route {
         method: "post",
         path: "/v1/sessions",
@@ -237,12 +237,6 @@ pub(crate) const ROUTES: [Route; 27] = [
         rpc: Some("Deform"),
         summary: "Upgrade to a WebSocket: binary DeformRequest messages in, binary DeformResponse messages out; optional sub-protocol pliant.v1.",
         status: 101,
-        ..PLAIN
-    },
-    Route {
-        method: "post",
-        path: "/mcp",
-        summary: "The Model Context Protocol (streamable HTTP) for agents: a JSON-RPC message in, its answer out. The tools open, show, pose, edit and export sessions; tools/list describes them.",
         ..PLAIN
     },
     Route {
