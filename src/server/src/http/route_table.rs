@@ -39,7 +39,7 @@ const OPENED_FORMAT: (&str, &str) = (
     "glb (or vrm), gltf, obj, ply, off, stl, 3mf, fbx, splat or spz",
 );
 
-/// Every route but the pages for people, and `/mcp`, which tells agents its tools by its own protocol.
+/// Every route but the pages for people, and `/mcp`, which lists its tools to agents in a protocol of its own.
 pub(crate) const ROUTES: [Route; 26] = [
     Route {
         method: "post",
