@@ -19,9 +19,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Files up to this size go through everything, larger ones are cut.
-const SMALL: u64 = 30_000;
-
 /// Extensions of how numbers are packed, which pliant writes as plain floats; and what other formats take of materials.
 const PACKINGS: [&str; 4] = [
     "KHR_draco_mesh_compression",
@@ -322,8 +319,7 @@ impl<'a> Sweep<'a> {
 fn sweep(data: &Path) -> (usize, Vec<String>) {
     let is_swept = |path: &PathBuf| {
         let format = Format::from_file_name(&path.to_string_lossy());
-        let has_elements = format.is_some_and(|f| [Format::GLB, Format::GLTF, Format::OBJ, Format::PLY].contains(&f));
-        has_elements
+        format.is_some_and(|f| [Format::GLB, Format::GLTF, Format::OBJ, Format::PLY].contains(&f))
     };
     let files: Vec<PathBuf> = models_below(data, &["gltf", "field", "meshes"])
         .into_iter()
@@ -338,10 +334,7 @@ fn sweep(data: &Path) -> (usize, Vec<String>) {
             let Some(mut sweep) = Sweep::open(path, &exec) else {
                 continue;
             };
-            match std::fs::metadata(path).is_ok_and(|about| about.len() <= SMALL) {
-                true => sweep.all(),
-                false => sweep.cut(),
-            }
+            sweep.all();
             seen += sweep.seen;
             silent.extend(sweep.silent);
         }
