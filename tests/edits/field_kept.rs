@@ -6,6 +6,8 @@ use crate::support::data::{data_bytes, data_path};
 use crate::support::gltf_parsed::{Parsed, parse};
 use crate::support::khronos;
 use crate::support::skinning::{draw, list, numbers};
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits, Model};
 use pliant::exec::Exec;
@@ -312,6 +314,23 @@ fn vertices_without_weights_of_an_fbx_make_a_valid_glb() {
             .filter(|code| !code.starts_with("NODE_SKINNED_MESH"))
             .collect();
         assert!(wrong.is_empty(), "{wrong:?}");
+        Some(())
+    });
+}
+
+#[test]
+fn a_hat_that_is_merged_brings_its_material_and_its_picture() {
+    with_pool(|exec| {
+        let (base, hat) = (file("base.glb")?, data_bytes("field/hat.glb")?);
+        let parts = [parsed(&base.main), parsed(&hat)].map(|part| part.json);
+        let merge = json!({"merge": {"model": STANDARD.encode(&hat), "how": "LOOSE"}});
+        let merged = run(base, &json!({"steps": [{"edit": merge}]}), exec);
+        let whole = parsed(&merged.written.main).json;
+        for list in ["materials", "images"] {
+            let entries = |of: &Value| of[list].as_array().map_or(0, Vec::len);
+            assert!(parts.iter().all(|part| entries(part) > 0), "{list}");
+            assert_eq!(entries(&whole), entries(&parts[0]) + entries(&parts[1]), "{list}");
+        }
         Some(())
     });
 }
