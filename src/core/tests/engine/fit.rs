@@ -1,26 +1,14 @@
 //! Outfits of one body on another.
 
+use crate::off_file::{Surface, file_of};
 use glam::DVec3;
-use pliant_core::asset::{FileSet, Limits, Model, shapes};
+use pliant_core::asset::{Limits, Model, shapes};
 use pliant_core::engine::{
     Deformer, DeformerLimits, Error, OpenOptions, OtherModel, OutfitFit, TransferCommand, Transferred,
 };
 use pliant_core::exec::Exec;
 use pliant_core::pool::Pool;
 use pliant_core::progress::Silent;
-
-type Surface = (Vec<DVec3>, Vec<[u32; 3]>);
-
-fn file_of((points, triangles): &Surface) -> FileSet {
-    let mut text = format!("OFF\n{} {} 0\n", points.len(), triangles.len());
-    points
-        .iter()
-        .for_each(|p| text += &format!("{} {} {}\n", p.x, p.y, p.z));
-    triangles
-        .iter()
-        .for_each(|[a, b, c]| text += &format!("3 {a} {b} {c}\n"));
-    FileSet::single("model.off", text)
-}
 
 /// How high a bump of the other body is.
 const BUMP: f64 = 0.35;

@@ -1,5 +1,6 @@
 //! Blend shapes and poses of one model on another.
 
+use crate::off_file::{Surface, file_of};
 use glam::{DMat4, DQuat, DVec3, Vec3};
 use pliant_core::asset::{
     BlendClip, BlendShape, BlendShapes, ChannelInterpolation, FileSet, Format, Limits, Model, sample, shapes,
@@ -8,19 +9,6 @@ use pliant_core::engine::{Deformer, DeformerLimits, Error, OpenOptions, OtherMod
 use pliant_core::exec::Exec;
 use pliant_core::pool::Pool;
 use pliant_core::progress::{CancelFlag, Silent};
-
-type Surface = (Vec<DVec3>, Vec<[u32; 3]>);
-
-fn file_of((points, triangles): &Surface) -> FileSet {
-    let mut text = format!("OFF\n{} {} 0\n", points.len(), triangles.len());
-    points
-        .iter()
-        .for_each(|p| text += &format!("{} {} {}\n", p.x, p.y, p.z));
-    triangles
-        .iter()
-        .for_each(|[a, b, c]| text += &format!("3 {a} {b} {c}\n"));
-    FileSet::single("model.off", text)
-}
 
 fn read(files: FileSet) -> Model {
     Model::read(files, None, &Limits::default()).expect("a model")

@@ -1,5 +1,6 @@
 //! Models wrapped onto other surfaces.
 
+use crate::off_file::{Surface, file_of};
 use glam::{DMat4, DQuat, DVec3};
 use pliant_core::asset::{FileSet, shapes};
 use pliant_core::engine::{
@@ -10,19 +11,6 @@ use pliant_core::exec::Exec;
 use pliant_core::mesh::query::TriangleBvh;
 use pliant_core::pool::Pool;
 use pliant_core::progress::{CancelFlag, Silent};
-
-type Surface = (Vec<DVec3>, Vec<[u32; 3]>);
-
-fn file_of((points, triangles): &Surface) -> FileSet {
-    let mut text = format!("OFF\n{} {} 0\n", points.len(), triangles.len());
-    points
-        .iter()
-        .for_each(|p| text += &format!("{} {} {}\n", p.x, p.y, p.z));
-    triangles
-        .iter()
-        .for_each(|[a, b, c]| text += &format!("3 {a} {b} {c}\n"));
-    FileSet::single("model.off", text)
-}
 
 /// Long, wide and high by different amounts, with a nose and a pair of ears that say which way it looks.
 fn creature(p: DVec3) -> DVec3 {

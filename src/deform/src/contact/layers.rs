@@ -4,6 +4,7 @@
 //! Normals of two parts that face each other say by themselves where each belongs. Those of a layer and of what it lies on are alike; so
 //! each vertex remembers the nearest place of up to [`MOST_BESIDE`] other parts, and whether it was before or behind it.
 
+use super::find::smooth_normals;
 use glam::DVec3;
 use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
@@ -83,7 +84,7 @@ impl LayerSides {
         if part.iter().all(|p| *p == part[0]) {
             return Ok(Self::default());
         }
-        let surface = PartedSurface::of(positions, triangles, &part, exec);
+        let surface = PartedSurface::of(mesh, positions, &part, exec);
         let near = NEAR * mesh.bounds().diagonal();
         let reach = if first > 0 { [f64::INFINITY, near] } else { [near; 2] };
         let borders = border_vertices(positions.len(), triangles);
@@ -163,7 +164,7 @@ impl LayerSides {
         for (t, _) in is_asked.into_iter().flatten().enumerate().filter(|(_, asked)| **asked) {
             mesh.triangles[t].iter().for_each(|v| asked[*v as usize] = true);
         }
-        let surface = PartedSurface::of(at, &mesh.triangles, &self.part, exec);
+        let surface = PartedSurface::of(mesh, at, &self.part, exec);
         let mut all = Vec::new();
         for first in (0..self.beside.len()).step_by(BLOCK) {
             exec.check()?;
@@ -265,14 +266,9 @@ struct PartedSurface<'a> {
 }
 
 impl<'a> PartedSurface<'a> {
-    fn of(positions: &'a [DVec3], triangles: &'a [[u32; 3]], part: &'a [u32], exec: &Exec<'_>) -> Self {
-        let mut normals = vec![DVec3::ZERO; positions.len()];
-        for t in triangles {
-            let [a, b, c] = t.map(|v| positions[v as usize]);
-            let normal = (b - a).cross(c - a);
-            t.iter().for_each(|v| normals[*v as usize] += normal);
-        }
-        normals.iter_mut().for_each(|n| *n = n.normalize_or_zero());
+    fn of(mesh: &'a Mesh, positions: &'a [DVec3], part: &'a [u32], exec: &Exec<'_>) -> Self {
+        let triangles = &mesh.triangles;
+        let normals = smooth_normals(mesh, positions, 0);
         let tree = TriangleBvh::build(positions, triangles, exec.pool);
         let of_node = tree.labels_of_nodes(|t| part[triangles[t as usize][0] as usize]);
         Self {
