@@ -4,7 +4,7 @@
 //! Normals of two parts that face each other say by themselves where each belongs. Those of a layer and of what it lies on are alike; so
 //! each vertex remembers the nearest place of up to [`MOST_BESIDE`] other parts, and whether it was before or behind it.
 
-use super::find::smooth_normals;
+use super::normals::smooth_normals;
 use glam::DVec3;
 use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
