@@ -1,4 +1,4 @@
-//! Weights for the bones of a rig, measured against those that Blender finds. Run by hand: `--ignored`, with optimisation.
+//! Weights for the bones of a rig, measured against those that Blender finds.
 
 use crate::support::data::data_path;
 use glam::DVec3;
@@ -21,7 +21,6 @@ const HEAT_EDGES: f64 = 0.1396;
 const FRAMES: [f64; 6] = [200.0, 400.0, 560.0, 720.0, 880.0, 1040.0];
 
 #[test]
-#[ignore = "takes a minute without optimisation; run by hand"]
 fn an_armadillo_dances_on_its_weights_as_well_as_on_bone_heat() {
     let (Some(mesh), Some(clip)) = (
         data_path(WHAT, "meshes/armadillo.obj"),

@@ -1,7 +1,7 @@
 //! Cells of a cubic lattice that a mesh occupies, all its parts together, and the ways through them.
 //!
 //! Parts that nearly touch, such as a hand beside a thigh, have cells beside each other with air in between. Heat does not cross it, and a
-//! bone reaches a cell only by a way through cells.
+//! bone reaches a cell only by a way through cells. Air in a furrow of the surface separates nothing.
 
 use glam::DVec3;
 use pliant_exec::Exec;
@@ -24,6 +24,8 @@ const LONGEST: f64 = 256.0;
 const EMPTY: u32 = u32::MAX;
 /// Cells that one thread takes in a row.
 const RUN: usize = 256;
+/// Cells by which a furrow closes from each of its ends at most.
+const FURROW: usize = 32;
 /// Places along a bone at most.
 const MOST_STEPS: f64 = 4096.0;
 /// How far below the surface the place of a cell is whose middle is outside, in cells.
@@ -268,14 +270,50 @@ impl<'a> CellPaths<'a> {
                 Ok(paths.row(node).iter().filter(joined).copied().collect())
             });
             let kept: Vec<Vec<u32>> = kept.collect::<Result<_, Cancelled>>()?;
-            paths.neighbours.clear();
-            for (node, row) in kept.iter().enumerate() {
-                paths.neighbours.extend(row);
-                paths.offsets[node + 1] = paths.neighbours.len() as u32;
-            }
+            paths.take_rows(&kept);
+            paths.close_furrows(exec)?;
             paths.below = below;
             Ok(paths)
         })
+    }
+
+    /// Joins cells across furrows of the surface: where air is between them, but joined cells around at least two squares lead from
+    /// one to the other. A furrow closes from its ends and from below; what separates two limbs stays.
+    fn close_furrows(&mut self, exec: &Exec<'_>) -> Result<(), Cancelled> {
+        let (offsets, neighbours) = self.cells.rows();
+        for _ in 0..FURROW {
+            let all = (0..self.cells.places.len()).into_par_iter().with_min_len(RUN);
+            let rows = all.map(|node| {
+                exec.check()?;
+                let own = self.row(node);
+                let row = &neighbours[offsets[node] as usize..offsets[node + 1] as usize];
+                let is_joined = |next: &&u32| own.contains(next) || self.has_two_short_ways(node, **next);
+                Ok(row.iter().filter(is_joined).copied().collect())
+            });
+            let rows: Vec<Vec<u32>> = rows.collect::<Result<_, Cancelled>>()?;
+            let before = self.neighbours.len();
+            self.take_rows(&rows);
+            if self.neighbours.len() == before {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether ways of three steps, around a square of cells each, lead from one cell to another along two sides.
+    fn has_two_short_ways(&self, from: usize, to: u32) -> bool {
+        let second = self.row(from).iter().flat_map(|node| self.row(*node as usize));
+        let ways = second.filter(|node| self.row(**node as usize).contains(&to));
+        ways.take(2).count() == 2
+    }
+
+    /// Replaces the cells that each is joined to.
+    fn take_rows(&mut self, rows: &[Vec<u32>]) {
+        self.neighbours.clear();
+        for (node, row) in rows.iter().enumerate() {
+            self.neighbours.extend(row);
+            self.offsets[node + 1] = self.neighbours.len() as u32;
+        }
     }
 
     /// The cells that a cell is joined to.
