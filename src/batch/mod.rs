@@ -5,8 +5,7 @@ mod riders;
 
 use super::asset::{FileSet, Format, WrittenFiles};
 use super::engine::{
-    Deformer, DeformerLimits, EditCommand, EditKind, EditedShape, HandlePose, HandlePoses, ModelShape, SolveMode,
-    digest,
+    Deformer, DeformerLimits, EditCommand, EditedShape, HandlePose, HandlePoses, ModelShape, SolveMode, digest,
 };
 use super::exec::Exec;
 use super::progress::Progress as _;
@@ -280,7 +279,7 @@ impl<'a> BatchRun<'a> {
             return Err(Error::invalid(field, problem));
         }
         let seen = self.deformer.shape_to_edit(&command, exec)?;
-        if on == EditedShape::Current || matches!(edit.kind(), EditKind::Adopt | EditKind::Wrap) {
+        if on == EditedShape::Current || edit.kind().gives_shape() {
             // What the edit sees becomes the rest pose, of what rides along too.
             (self.riders).move_along(&self.deformer, &seen.shape.positions, exec)?;
         }

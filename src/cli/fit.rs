@@ -1,20 +1,17 @@
 //! `pliant fit`: an outfit of a body comes to another body, and stays outside of it.
 
-use super::drawing::{DrawnShape, NormalChoice, UpAxisChoice, ViewList, parse_views};
-use super::input_files::{in_file, output_format, read_file, read_model};
-use super::output_files::{OutputPermission, check_ending, spare_companions};
-use super::terminal::{CliFailure, StageSpinner, ThreadArgs, pretty_text, print_json, say};
+use super::input_files::{in_file, read_file, read_model};
+use super::result_args::{ResultArgs, SheetLayout, captioned, read_shape};
+use super::terminal::{CliFailure, StageSpinner, print_json, say};
 use super::wrap::landmarks::landmarks_from_json;
-use crate::asset::{FileSet, Format, Limits, Model, WrittenFiles};
+use crate::asset::{FileSet, Format, WrittenFiles};
 use crate::deform::VolumeMode;
 use crate::engine::{Deformer, DeformerLimits, OpenOptions, OtherModel, Transferred};
 use crate::exec::Exec;
 use crate::mesh::grouped_count;
 use crate::pool::Pool;
-use crate::render::{PictureSize, SheetShape, ViewSheet};
 use crate::wire::{self, pb};
 use clap::Args;
-use glam::DVec3;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -30,77 +27,39 @@ pub struct FitArgs {
     body: PathBuf,
     /// Body that it is to fit; its triangles may be others
     other_body: PathBuf,
-    /// Output file; its extension selects the format
-    #[arg(short, long)]
-    output: PathBuf,
     /// Landmarks of the bodies: a JSON list of {"source": PLACE, "target": PLACE}, where a place is a vertex number or [x, y, z]
     #[arg(long, value_name = "FILE")]
     landmarks: Option<PathBuf>,
     /// What the outfit keeps from the other body at most, model units. Default: 0.005 of its diagonal
     #[arg(long, value_name = "LENGTH")]
     clearance: Option<f64>,
-    /// Write the report as JSON
-    #[arg(long, value_name = "FILE")]
-    report: Option<PathBuf>,
-    /// Draw the outfit on both bodies (.png)
-    #[arg(long, value_name = "PICTURE")]
-    picture: Option<PathBuf>,
-    /// View of the picture, as in `pliant render`
-    #[arg(long, value_name = "VIEW", default_value = "front", value_parser = parse_views)]
-    #[arg(allow_hyphen_values = true)]
-    view: ViewList,
-    /// Up axis of the models in the picture
-    #[arg(long, value_enum, default_value_t = UpAxisChoice::Y)]
-    up: UpAxisChoice,
     #[command(flatten)]
-    permission: OutputPermission,
-    /// Print the report as JSON on stdout
-    #[arg(long)]
-    json: bool,
-    #[command(flatten)]
-    threads: ThreadArgs,
+    result: ResultArgs,
 }
 
 pub(super) fn run_fit(args: &FitArgs) -> Result<(), CliFailure> {
-    let format = output_format(&args.output)?;
-    args.permission.check_target(&args.output)?;
-    if let Some(picture) = &args.picture {
-        check_ending(picture, "png", "a picture")?;
-    }
-    for path in args.report.iter().chain(&args.picture) {
-        if *path == args.output {
-            let problem = format!("{} is where the result is written; name another file", path.display());
-            return Err(CliFailure::Input(problem));
-        }
-        args.permission.check_target(path)?;
-    }
-    let pool = args.threads.start_pool()?;
+    let format = args.result.checked_format()?;
+    let pool = args.result.threads.start_pool()?;
     let outfit = read_model(&args.outfit)?;
     let bodies = [read_model(&args.body)?, read_model(&args.other_body)?];
-    for path in args.report.iter().chain(&args.picture) {
-        spare_companions(path, &args.outfit, &outfit)?;
-    }
-    let spinner = StageSpinner::new(args.json);
+    args.result.spare(&args.outfit, &outfit)?;
+    let spinner = StageSpinner::new(args.result.json);
     let clock = Instant::now();
     let came = args.fit(&outfit, &bodies, format, &Exec::new(&pool, &spinner))?;
     spinner.finish();
     let report = wire::transfer_report(&came.report);
-    let written = (args.permission).write_model(&args.output, &came.files, &args.outfit, &outfit)?;
-    if let Some(path) = &args.report {
-        let text = pretty_text(&wire::json::to_json(&report)?)?;
-        args.permission.write_file(path, text.as_bytes())?;
-    }
-    if let Some(path) = &args.picture {
+    let written = (args.result).write_model(&came.files, &args.outfit, &outfit)?;
+    args.result.write_report(&report)?;
+    if let Some(path) = &args.result.picture {
         args.draw(path, outfit, bodies, &came.files, &pool)?;
     }
     for w in &came.files.warnings {
         say!("warning {}: {}", w.code, w.message);
     }
-    if args.json {
+    if args.result.json {
         return print_json(&report);
     }
     print_summary(&report, clock.elapsed().as_secs_f64());
-    let written: Vec<String> = written.iter().map(|p| p.display().to_string()).collect();
     say!("-> {}", written.join(", "));
     Ok(())
 }
@@ -148,38 +107,28 @@ impl FitArgs {
         written: &WrittenFiles,
         pool: &Pool,
     ) -> Result<(), CliFailure> {
-        let mut result = FileSet::single(self.output.display().to_string(), written.main.clone());
-        for (uri, bytes) in &written.companions {
-            result.companions.insert(uri.clone(), bytes.clone().into());
-        }
-        let read = |files: FileSet, of: &Path| Model::read(files, None, &Limits::default()).map_err(|e| in_file(of, e));
-        let mut drawn = Vec::new();
-        for (files, of) in [
-            (body, &self.body),
-            (outfit, &self.outfit),
-            (other, &self.other_body),
-            (result, &self.output),
-        ] {
-            let mut shape = DrawnShape::of_model(&read(files, of)?, NormalChoice::File).map_err(|e| in_file(of, e))?;
-            shape.wear_materials()?;
-            drawn.push(shape.surface(None, DVec3::ZERO, pool)?);
-        }
-        let captions = ["body", "outfit", "other body", "fitted outfit"];
-        let shapes = drawn.iter().zip(captions).map(|(surface, caption)| SheetShape {
-            surface,
-            caption: caption.to_owned(),
-            marks: Vec::new(),
-            near: None,
-        });
-        let sheet = ViewSheet {
-            shapes: shapes.collect(),
-            views: &self.view.directions(self.up)?[..1],
-            size: PictureSize::new(SIDES[0], SIDES[1])?,
-            columns: Some(2),
-            fits_each: true,
-            key: None,
+        let shapes = [
+            captioned("body", &read_shape(body, &self.body)?, &self.body, pool)?,
+            captioned("outfit", &read_shape(outfit, &self.outfit)?, &self.outfit, pool)?,
+            captioned(
+                "other body",
+                &read_shape(other, &self.other_body)?,
+                &self.other_body,
+                pool,
+            )?,
+            captioned(
+                "fitted outfit",
+                &self.result.result(written)?,
+                &self.result.output,
+                pool,
+            )?,
+        ];
+        let layout = SheetLayout {
+            sides: SIDES,
+            columns: 2,
+            is_one_view: true,
         };
-        self.permission.write_file(path, &sheet.draw_views(pool)?.encode_png()?)
+        self.result.draw(path, &shapes, &layout, pool)
     }
 }
 

@@ -16,6 +16,7 @@ mod inspect;
 mod mcp;
 mod output_files;
 mod render;
+mod result_args;
 mod rig;
 pub mod serve;
 mod store;

@@ -1,16 +1,15 @@
 //! `pliant transfer`: blend shapes of a model come to another one; or what a model does from one shape to another.
 
-use super::drawing::{DrawnShape, NormalChoice, UpAxisChoice, ViewList, parse_views};
-use super::input_files::{in_file, output_format, read_file, read_model};
-use super::output_files::{OutputPermission, check_ending, spare_companions};
-use super::terminal::{CliFailure, StageSpinner, ThreadArgs, pretty_text, print_json, say};
+use super::drawing::{DrawnShape, NormalChoice};
+use super::input_files::{in_file, read_file, read_model};
+use super::result_args::{ResultArgs, SheetLayout, read_shape};
+use super::terminal::{CliFailure, StageSpinner, print_json, say};
 use super::wrap::landmarks::{in_names_of_file, landmarks_from_json};
-use crate::asset::{FileSet, Format, Limits, Model, WrittenFiles};
+use crate::asset::{FileSet, Format, Model, WrittenFiles};
 use crate::deform::VolumeMode;
 use crate::engine::{Deformer, DeformerLimits, OpenOptions, Transferred};
 use crate::exec::Exec;
 use crate::pool::Pool;
-use crate::render::{PictureSize, SheetShape, ViewSheet};
 use crate::wire::pb::edit_request::wrap::Landmark;
 use crate::wire::{self, pb};
 use clap::Args;
@@ -30,63 +29,29 @@ pub struct TransferArgs {
     source: PathBuf,
     /// Model that they come to
     target: PathBuf,
-    /// Output file: a glb; with --shape, its extension selects the format
-    #[arg(short, long)]
-    output: PathBuf,
     /// The source in another shape, with the same vertices and triangles: the target takes on what leads there
     #[arg(long, value_name = "MODEL")]
     shape: Option<PathBuf>,
     /// Landmarks: a JSON list of {"source": PLACE, "target": PLACE}, where a place is a vertex number or [x, y, z]
     #[arg(long, value_name = "FILE")]
     landmarks: Option<PathBuf>,
-    /// Write the report as JSON
-    #[arg(long, value_name = "FILE")]
-    report: Option<PathBuf>,
-    /// Draw the shapes that move most, on the source and below on the target (.png)
-    #[arg(long, value_name = "PICTURE")]
-    picture: Option<PathBuf>,
-    /// View of the picture, as in `pliant render`
-    #[arg(long, value_name = "VIEW", default_value = "front", value_parser = parse_views)]
-    #[arg(allow_hyphen_values = true)]
-    view: ViewList,
-    /// Up axis of the models in the picture
-    #[arg(long, value_enum, default_value_t = UpAxisChoice::Y)]
-    up: UpAxisChoice,
     #[command(flatten)]
-    permission: OutputPermission,
-    /// Print the report as JSON on stdout
-    #[arg(long)]
-    json: bool,
-    #[command(flatten)]
-    threads: ThreadArgs,
+    result: ResultArgs,
 }
 
 pub(super) fn run_transfer(args: &TransferArgs) -> Result<(), CliFailure> {
-    let format = output_format(&args.output)?;
+    let format = args.result.checked_format()?;
     if args.shape.is_none() && format != Format::GLB {
         return Err(CliFailure::Input(
             "--output: blend shapes are written as glb alone".into(),
         ));
     }
-    args.permission.check_target(&args.output)?;
-    if let Some(picture) = &args.picture {
-        check_ending(picture, "png", "a picture")?;
-    }
-    for path in args.report.iter().chain(&args.picture) {
-        if *path == args.output {
-            let problem = format!("{} is where the result is written; name another file", path.display());
-            return Err(CliFailure::Input(problem));
-        }
-        args.permission.check_target(path)?;
-    }
-    let pool = args.threads.start_pool()?;
+    let pool = args.result.threads.start_pool()?;
     let [source, target] = [&args.source, &args.target].map(|path| read_model(path));
     let (source, target) = (source?, target?);
     let shape = args.shape.as_ref().map(|path| read_model(path)).transpose()?;
-    for path in args.report.iter().chain(&args.picture) {
-        spare_companions(path, &args.target, &target)?;
-    }
-    let spinner = StageSpinner::new(args.json);
+    args.result.spare(&args.target, &target)?;
+    let spinner = StageSpinner::new(args.result.json);
     let clock = Instant::now();
     let came = args.transfer(
         [Some(&source), Some(&target), shape.as_ref()],
@@ -95,22 +60,18 @@ pub(super) fn run_transfer(args: &TransferArgs) -> Result<(), CliFailure> {
     )?;
     spinner.finish();
     let report = wire::transfer_report(&came.report);
-    let written = (args.permission).write_model(&args.output, &came.files, &args.target, &target)?;
-    if let Some(path) = &args.report {
-        let text = pretty_text(&wire::json::to_json(&report)?)?;
-        args.permission.write_file(path, text.as_bytes())?;
-    }
-    if let Some(path) = &args.picture {
+    let written = (args.result).write_model(&came.files, &args.target, &target)?;
+    args.result.write_report(&report)?;
+    if let Some(path) = &args.result.picture {
         args.draw(path, [Some(source), Some(target), shape], &came.files, &pool)?;
     }
     for w in &came.files.warnings {
         say!("warning {}: {}", w.code, w.message);
     }
-    if args.json {
+    if args.result.json {
         return print_json(&report);
     }
     print_summary(&report, clock.elapsed().as_secs_f64());
-    let written: Vec<String> = written.iter().map(|p| p.display().to_string()).collect();
     say!("-> {}", written.join(", "));
     Ok(())
 }
@@ -162,17 +123,12 @@ impl TransferArgs {
         written: &WrittenFiles,
         pool: &Pool,
     ) -> Result<(), CliFailure> {
-        let mut result = FileSet::single(self.output.display().to_string(), written.main.clone());
-        for (uri, bytes) in &written.companions {
-            result.companions.insert(uri.clone(), bytes.clone().into());
-        }
-        let read = |files: FileSet, of: &Path| Model::read(files, None, &Limits::default()).map_err(|e| in_file(of, e));
-        let source = read(source.unwrap_or_default(), &self.source)?;
-        let result = read(result, &self.output)?;
+        let source = read_shape(source.unwrap_or_default(), &self.source)?;
+        let result = self.result.result(written)?;
         let rows = match shape {
             Some(shape) => {
-                let target = read(target.unwrap_or_default(), &self.target)?;
-                let posed = read(shape, &self.source)?;
+                let target = read_shape(target.unwrap_or_default(), &self.target)?;
+                let posed = read_shape(shape, &self.source)?;
                 let (posed, now) = (posed.positions.clone(), result.positions.clone());
                 [
                     (source, vec![("posed".to_owned(), posed)]),
@@ -186,7 +142,6 @@ impl TransferArgs {
                 [(source, of_source), (result, of_result)]
             }
         };
-        let mut shapes = Vec::new();
         let mut surfaces = Vec::new();
         for ((model, all), name) in rows.iter().zip(["source", "target"]) {
             let mut drawn = DrawnShape::of_model(model, NormalChoice::File).map_err(|e| in_file(&self.source, e))?;
@@ -200,22 +155,12 @@ impl TransferArgs {
                 ));
             }
         }
-        shapes.extend(surfaces.iter().map(|(caption, surface)| SheetShape {
-            surface,
-            caption: caption.clone(),
-            marks: Vec::new(),
-            near: None,
-        }));
-        let columns = shapes.len() / 2;
-        let sheet = ViewSheet {
-            shapes,
-            views: &self.view.directions(self.up)?[..1],
-            size: PictureSize::new(SIDES[0], SIDES[1])?,
-            columns: Some(columns as u32),
-            fits_each: true,
-            key: None,
+        let layout = SheetLayout {
+            sides: SIDES,
+            columns: surfaces.len() / 2,
+            is_one_view: true,
         };
-        self.permission.write_file(path, &sheet.draw_views(pool)?.encode_png()?)
+        self.result.draw(path, &surfaces, &layout, pool)
     }
 }
 

@@ -3,17 +3,15 @@
 pub(super) mod landmarks;
 
 use super::deform::report_format;
-use super::drawing::{DrawnShape, NormalChoice, UpAxisChoice, ViewList, parse_views};
-use super::input_files::{in_file, output_format, read_file, read_model};
-use super::output_files::{OutputPermission, check_ending, spare_companions};
-use super::terminal::{CliFailure, StageSpinner, ThreadArgs, pretty_text, print_json, say};
-use crate::asset::{FileSet, Limits, Model, WrittenFiles};
+use super::input_files::{in_file, read_file, read_model};
+use super::result_args::{ResultArgs, SheetLayout, captioned, read_shape};
+use super::terminal::{CliFailure, StageSpinner, print_json, say};
+use crate::asset::{FileSet, WrittenFiles};
 use crate::batch::{self, BatchOutput};
 use crate::engine::DeformerLimits;
 use crate::exec::Exec;
 use crate::mesh::grouped_count;
 use crate::pool::Pool;
-use crate::render::{PictureSize, SheetShape, ViewSheet};
 use crate::wire::{self, pb};
 use clap::Args;
 use landmarks::{in_names_of_file, landmarks_from_json};
@@ -30,9 +28,6 @@ pub struct WrapArgs {
     template: PathBuf,
     /// Model or scan to wrap it onto
     target: PathBuf,
-    /// Output file; its extension selects the format
-    #[arg(short, long)]
-    output: PathBuf,
     /// Landmarks: a JSON list of {"template": PLACE, "target": PLACE}, where a place is a vertex number or [x, y, z]
     #[arg(long, value_name = "FILE")]
     landmarks: Option<PathBuf>,
@@ -42,49 +37,18 @@ pub struct WrapArgs {
     /// Leave the result in the place and of the size of the model; without, it is where the target is
     #[arg(long)]
     in_place: bool,
-    /// Write the report as JSON
-    #[arg(long, value_name = "FILE")]
-    report: Option<PathBuf>,
-    /// Draw the model, the target and the result side by side (.png)
-    #[arg(long, value_name = "PICTURE")]
-    picture: Option<PathBuf>,
-    /// Views of the picture, as in `pliant render`
-    #[arg(long, value_name = "VIEWS", default_value = "front,three-quarter", value_parser = parse_views)]
-    #[arg(allow_hyphen_values = true)]
-    view: ViewList,
-    /// Up axis of the models in the picture
-    #[arg(long, value_enum, default_value_t = UpAxisChoice::Y)]
-    up: UpAxisChoice,
     #[command(flatten)]
-    permission: OutputPermission,
-    /// Print the report as JSON on stdout
-    #[arg(long)]
-    json: bool,
-    #[command(flatten)]
-    threads: ThreadArgs,
+    result: ResultArgs,
 }
 
 pub(super) fn run_wrap(args: &WrapArgs) -> Result<(), CliFailure> {
-    let format = output_format(&args.output)?;
-    args.permission.check_target(&args.output)?;
-    if let Some(picture) = &args.picture {
-        check_ending(picture, "png", "a picture")?;
-    }
-    for path in args.report.iter().chain(&args.picture) {
-        if *path == args.output {
-            let problem = format!("{} is where the result is written; name another file", path.display());
-            return Err(CliFailure::Input(problem));
-        }
-        args.permission.check_target(path)?;
-    }
-    let pool = args.threads.start_pool()?;
+    let format = args.result.checked_format()?;
+    let pool = args.result.threads.start_pool()?;
     let files = read_model(&args.template)?;
-    for path in args.report.iter().chain(&args.picture) {
-        spare_companions(path, &args.template, &files)?;
-    }
+    args.result.spare(&args.template, &files)?;
     let target = read_file(&args.target)?;
     let job = args.job(target.clone())?;
-    let spinner = StageSpinner::new(args.json);
+    let spinner = StageSpinner::new(args.result.json);
     let clock = Instant::now();
     let millis = || clock.elapsed().as_secs_f64() * 1e3;
     let output = BatchOutput {
@@ -96,13 +60,9 @@ pub(super) fn run_wrap(args: &WrapArgs) -> Result<(), CliFailure> {
     let outcome = batch::run_and_write(files.clone(), &job, output, &limits, &exec, &millis);
     let mut outcome = outcome.map_err(|e| in_names_of_file(e, [["own", "template"], ["target", "target"]]))?;
     spinner.finish();
-    let written = (args.permission).write_model(&args.output, &outcome.written, &args.template, &files)?;
-    outcome.report.output = written.iter().map(|p| p.display().to_string()).collect();
-    if let Some(path) = &args.report {
-        let text = pretty_text(&wire::json::to_json(&outcome.report)?)?;
-        args.permission.write_file(path, text.as_bytes())?;
-    }
-    if let Some(path) = &args.picture {
+    outcome.report.output = (args.result).write_model(&outcome.written, &args.template, &files)?;
+    args.result.write_report(&outcome.report)?;
+    if let Some(path) = &args.result.picture {
         args.draw(
             path,
             [files, FileSet::single(args.target.display().to_string(), target)],
@@ -110,7 +70,7 @@ pub(super) fn run_wrap(args: &WrapArgs) -> Result<(), CliFailure> {
             &pool,
         )?;
     }
-    match args.json {
+    match args.result.json {
         true => print_json(&outcome.report)?,
         false => print_summary(&outcome.report, &outcome.written, millis()),
     }
@@ -168,38 +128,17 @@ impl WrapArgs {
         written: &WrittenFiles,
         pool: &Pool,
     ) -> Result<(), CliFailure> {
-        let mut result = FileSet::single(self.output.display().to_string(), written.main.clone());
-        for (uri, bytes) in &written.companions {
-            result.companions.insert(uri.clone(), bytes.clone().into());
-        }
-        let named = [
-            (&self.template, template),
-            (&self.target, target),
-            (&self.output, result),
+        let shapes = [
+            captioned("template", &read_shape(template, &self.template)?, &self.template, pool)?,
+            captioned("target", &read_shape(target, &self.target)?, &self.target, pool)?,
+            captioned("wrapped", &self.result.result(written)?, &self.result.output, pool)?,
         ];
-        let mut surfaces = Vec::new();
-        for (of, files) in named {
-            let model = Model::read(files, None, &Limits::default()).map_err(|e| in_file(of, e))?;
-            let mut shape = DrawnShape::of_model(&model, NormalChoice::File).map_err(|e| in_file(of, e))?;
-            shape.wear_materials()?;
-            surfaces.push(shape.surface(None, glam::DVec3::ZERO, pool)?);
-        }
-        let captions = ["template", "target", "wrapped"];
-        let shapes = surfaces.iter().zip(captions).map(|(surface, caption)| SheetShape {
-            surface,
-            caption: caption.to_owned(),
-            marks: Vec::new(),
-            near: None,
-        });
-        let sheet = ViewSheet {
-            shapes: shapes.collect(),
-            views: &self.view.directions(self.up)?,
-            size: PictureSize::new(SIDES[0], SIDES[1])?,
-            columns: Some(3),
-            fits_each: true,
-            key: None,
+        let layout = SheetLayout {
+            sides: SIDES,
+            columns: 3,
+            is_one_view: false,
         };
-        self.permission.write_file(path, &sheet.draw_views(pool)?.encode_png()?)
+        self.result.draw(path, &shapes, &layout, pool)
     }
 }
 

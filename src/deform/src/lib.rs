@@ -83,7 +83,10 @@ mod thin_faces;
 mod volume_scales;
 
 pub use body::{BodyOptions, CoarseOperators, DeformableBody, EdgeWeights, TieFamilies, TieOptions, VolumeMode};
-pub use contact::{ContactSurface, FittedOutfit, LayerSides, OutfitFaults, OutfitOnBody};
+pub use contact::{
+    ContactSurface, CrossingSurface, FittedOutfit, LayerSides, MOST_PARTED, OutfitFaults, OutfitOnBody, RestCrossings,
+    UncrossedSurface,
+};
 pub use error::Error;
 pub use fields::HarmonicFields;
 pub use first_pass::{LocalFrame, LocalRotation, PoseBlend, frames, pack_rotation};

@@ -178,6 +178,17 @@ impl Mesh {
         BoundingBox::of(&self.positions)
     }
 
+    /// The median of the lengths of the triangles' first edges; 0 without any.
+    pub fn median_edge(&self) -> f64 {
+        let length = |t: &[u32; 3]| self.positions[t[0] as usize].distance(self.positions[t[1] as usize]);
+        let mut lengths: Vec<f64> = self.triangles.iter().map(length).collect();
+        let middle = lengths.len() / 2;
+        match lengths.is_empty() {
+            true => 0.0,
+            false => *lengths.select_nth_unstable_by(middle, f64::total_cmp).1,
+        }
+    }
+
     /// Bytes held on the heap.
     pub fn byte_size(&self) -> usize {
         self.positions.capacity() * size_of::<DVec3>()

@@ -12,7 +12,7 @@ use pb::edit_request::{self as message, Operation};
 use pliant_asset::FileSet;
 use pliant_core::engine::{
     CleanCommand, Creases, CutLine, Edit, EditKind, EditReport, EditedShape, MergeJoin, MeshCounts, ModelMerge, OwnCap,
-    Region, RemeshCommand, SmoothCommand, SmoothKind,
+    Region, RemeshCommand, SmoothCommand, SmoothKind, UnintersectCommand, UnintersectReport,
 };
 use pliant_edit::{KeptSide, MOST_POINTS, SubdivisionScheme};
 
@@ -27,7 +27,7 @@ pub fn edit(request: &pb::EditRequest, other: Option<&FileSet>) -> Result<(Edit,
     };
     let edit = match &request.operation {
         None => {
-            let allowed = "cut, subdivide, decimate, delete, fill, remesh, smooth, merge, insertCurve, weld, clean, adopt or wrap";
+            let allowed = "cut, subdivide, decimate, delete, fill, remesh, smooth, merge, insertCurve, weld, clean, adopt, wrap or unintersect";
             let problem = format!("is missing, allowed is one of {allowed}");
             return Err(Error::invalid("operation", problem));
         }
@@ -52,6 +52,10 @@ pub fn edit(request: &pb::EditRequest, other: Option<&FileSet>) -> Result<(Edit,
         Some(Operation::Smooth(smooth)) => self::smooth(smooth)?,
         Some(Operation::Merge(merge)) => Edit::Merge(Box::new(self::merge(merge, other)?)),
         Some(Operation::Wrap(wrap)) => Edit::Wrap(Box::new(wrap_command(wrap, other)?)),
+        Some(Operation::Unintersect(unintersect)) => Edit::Unintersect(UnintersectCommand {
+            fixed: optional_region(unintersect.fixed.as_ref(), "unintersect.fixed")?,
+            clearance: unless_zero(unintersect.clearance, "unintersect.clearance")?,
+        }),
         Some(Operation::InsertCurve(curve)) => Edit::InsertCurve {
             points: line(&curve.points, "insertCurve.points", curve.closed)?,
             closed: curve.closed,
@@ -81,6 +85,7 @@ pub fn edit_name(edit: &pb::EditRequest) -> &'static str {
         Some(Operation::Clean(_)) => EditKind::Clean.name(),
         Some(Operation::Adopt(_)) => EditKind::Adopt.name(),
         Some(Operation::Wrap(_)) => EditKind::Wrap.name(),
+        Some(Operation::Unintersect(_)) => EditKind::Unintersect.name(),
         None => "none",
     }
 }
@@ -109,8 +114,30 @@ pub fn edit_result(report: &EditReport) -> pb::EditResult {
         volume_change: report.volume_change,
         digest: report.digest.clone(),
         wrap: report.wrap.as_ref().map(wrap_report),
+        unintersect: report.unintersect.as_ref().map(unintersect_report),
         repaired: report.repaired,
         ..Default::default()
+    }
+}
+
+fn unintersect_report(report: &UnintersectReport) -> pb::UnintersectReport {
+    let UnintersectReport {
+        crossings_before,
+        crossings,
+        moved_vertices,
+        largest_move,
+        rms_move,
+        largest_move_in_edges,
+        rms_move_in_edges,
+    } = *report;
+    pb::UnintersectReport {
+        crossings_before,
+        crossings,
+        moved_vertices,
+        largest_move,
+        rms_move,
+        largest_move_in_edges,
+        rms_move_in_edges,
     }
 }
 

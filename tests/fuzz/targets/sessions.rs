@@ -8,7 +8,7 @@ use pliant::edit::{KeptSide, SubdivisionScheme};
 use pliant::engine::{
     CutLine, DefaultPivot, Deformer, DeformerLimits, Edit, Error, Falloff, FalloffCurve, Handle, HandleConstrains,
     HandlePose, HandleScale, HandleSet, MergeJoin, Method, ModelMerge, OpenOptions, OtherModel, Plane, Quality, Region,
-    RemeshCommand, SmoothCommand, SmoothKind, SolveSettings, Stiff, digest,
+    RemeshCommand, SmoothCommand, SmoothKind, SolveSettings, Stiff, UnintersectCommand, digest,
 };
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -192,7 +192,7 @@ fn points(draw: &mut ByteDraw<'_>) -> Vec<DVec3> {
 
 /// Any operation.
 pub(super) fn edit(draw: &mut ByteDraw<'_>) -> Edit {
-    match draw.below(13) {
+    match draw.below(14) {
         0 => Edit::Cut {
             along: CutLine::Plane(Plane::new(draw.vector(), draw.number())),
             keep: kept_side(draw),
@@ -249,6 +249,10 @@ pub(super) fn edit(draw: &mut ByteDraw<'_>) -> Edit {
             iterations: draw.flag().then(|| u32::from(draw.byte())),
             strength: draw.flag().then(|| draw.number()),
             sharp_degrees: draw.flag().then(|| draw.number()),
+        }),
+        13 => Edit::Unintersect(UnintersectCommand {
+            fixed: somewhere(draw),
+            clearance: draw.flag().then(|| draw.number()),
         }),
         9 => Edit::Merge(Box::new(merge(draw))),
         10 => Edit::InsertCurve {

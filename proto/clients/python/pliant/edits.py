@@ -139,6 +139,15 @@ class Wrap(TypedDict, total=False):
     format: str
 
 
+class Unintersect(TypedDict, total=False):
+    """Moves vertices as little as is needed for triangles of the model not to cross."""
+
+    #: What stays where it is.
+    fixed: Any
+    #: What surfaces that crossed are to keep from each other, in model units.
+    clearance: float
+
+
 class InsertCurve(TypedDict, total=False):
     """Inserts a polyline into the surface as edges."""
 
@@ -193,6 +202,7 @@ class EditFields(TypedDict, total=False):
     smooth: Smooth
     merge: Merge
     wrap: Wrap
+    unintersect: Unintersect
     insert_curve: InsertCurve
     weld: Weld
     clean: Clean
@@ -223,6 +233,8 @@ class EditResult:
     digest: str
     #: Of a wrap: how well the surface lies on the target.
     wrap: pb.WrapReport | None = None
+    #: Of `unintersect`: what became of triangles that crossed.
+    unintersect: pb.UnintersectReport | None = None
 
 
 OPERATIONS = tuple(EditFields.__annotations__)
@@ -302,8 +314,8 @@ def _fill(name: str, operation: Any, given: dict[str, Any], count: int | None) -
             operation.positions = b64decode(value) if isinstance(value, str) else float_points(key, value)
         elif key in ("path", "creases"):
             getattr(operation, key).extend(indices(key, np.ravel(value)).tolist())
-        elif key == "mask":
-            operation.mask.CopyFrom(region(value, count))
+        elif key in ("mask", "fixed"):
+            getattr(operation, key).CopyFrom(region(value, count))
         elif key == "landmarks":
             for own in value:
                 landmark(operation.landmarks.add(), own)
@@ -361,4 +373,5 @@ def result(message: pb.EditResult) -> EditResult:
         curve=list(message.curve),
         digest=message.digest,
         wrap=message.wrap if message.HasField("wrap") else None,
+        unintersect=message.unintersect if message.HasField("unintersect") else None,
     )

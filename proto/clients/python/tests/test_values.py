@@ -262,6 +262,10 @@ EDITS = [
     ),
     ({"insert_curve": {"points": [(0, 0, 0), (1, 2, 3)]}}, {"insertCurve": {"points": [0, 0, 0, 1, 2, 3]}}),
     ({"weld": {"tolerance": 0.1}}, {"weld": {"tolerance": 0.1}}),
+    (
+        {"unintersect": {"fixed": {"sphere": ((0, 0, 0), 1)}, "clearance": 0.5}},
+        {"unintersect": {"fixed": {"sphere": {"center": [0, 0, 0], "radius": 1}}, "clearance": 0.5}},
+    ),
     ({"clean": {"keep_largest": 1}}, {"clean": {"keepLargest": 1}}),
     ({"adopt": {"positions": [(0, 1, 2)]}}, {"adopt": {"positions": "AAAAAAAAgD8AAABA"}}),
 ]

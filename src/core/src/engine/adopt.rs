@@ -1,8 +1,8 @@
-//! Shapes that are not solved for: vertices of a buffer, which become the rest pose bit for bit, and wraps.
+//! Shapes that are not solved for: vertices of a buffer, which become the rest pose bit for bit, wraps, and shapes freed of crossings.
 
 use super::Deformer;
 use super::derived_structures::admit_bytes;
-use super::edit_command::{Edit, EditCommand, EditKind, EditedShape};
+use super::edit_command::{Edit, EditCommand, EditKind, EditedShape, UnintersectReport};
 use super::edit_operations::read_other;
 use super::error::Error;
 use super::facts::DeformerWarning;
@@ -28,11 +28,15 @@ pub struct ShapeToEdit {
     pub shape: ModelShape,
     /// What a wrap that led to it came to.
     pub(super) wrap: Option<WrapReport>,
+    /// What became of triangles that crossed before it.
+    pub(super) unintersect: Option<UnintersectReport>,
+    /// What is to be said of it.
+    pub(super) warnings: Vec<DeformerWarning>,
 }
 
 impl Deformer {
     /// The shape that an edit works on: the current one, that of the rest pose, or either with its vertices where [`Edit::Adopt`]
-    /// gives them or [`Edit::Wrap`] finds them.
+    /// gives them, or [`Edit::Wrap`] or [`Edit::Unintersect`] finds them.
     ///
     /// # Errors
     /// [`Error::Invalid`] for positions of another number of vertices; those of a wrap and of carrying passengers along;
@@ -42,7 +46,12 @@ impl Deformer {
             EditedShape::Current => order.shape.clone(),
             EditedShape::Rest => self.rest_shape(),
         };
-        let seen = |shape| ShapeToEdit { shape, wrap: None };
+        let seen = |shape| ShapeToEdit {
+            shape,
+            wrap: None,
+            unintersect: None,
+            warnings: Vec::new(),
+        };
         match order.edit {
             Edit::Adopt { positions } if !positions.is_empty() => self.adopted_shape(positions, shape, exec).map(seen),
             Edit::Adopt { .. } if order.on == EditedShape::Rest => {
@@ -51,6 +60,7 @@ impl Deformer {
                 Err(Error::invalid("adopt.positions", problem))
             }
             Edit::Wrap(command) => self.wrapped_shape(command, &shape, exec),
+            Edit::Unintersect(command) => self.unintersected_shape(command, shape, exec),
             _ => Ok(seen(shape)),
         }
     }
@@ -89,9 +99,12 @@ impl Deformer {
             *position = places[point as usize];
         }
         self.place_riders(&mut positions, exec)?;
+        let said = report.warnings().into_iter();
         Ok(ShapeToEdit {
             shape: ModelShape::from_positions(Arc::new(positions)),
+            warnings: said.map(|w| DeformerWarning::new(w.code, w.message, "")).collect(),
             wrap: Some(report),
+            unintersect: None,
         })
     }
 
@@ -141,7 +154,7 @@ impl Deformer {
     }
 
     /// Puts what rides along where the surface of these positions takes it.
-    fn place_riders(&self, positions: &mut [DVec3], exec: &Exec<'_>) -> Result<(), Error> {
+    pub(super) fn place_riders(&self, positions: &mut [DVec3], exec: &Exec<'_>) -> Result<(), Error> {
         self.derived.bind_riders(&self.room_limits(), exec)?;
         if let Some((surface, riders)) = self.derived.riding_vertices() {
             let current = self.mesh().welded(positions);

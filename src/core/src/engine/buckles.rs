@@ -12,11 +12,11 @@ use super::handle::{Falloff, FalloffCurve};
 use super::resolved_handles::fading_weights;
 use super::settings::{Contact, SolveSettings};
 use crate::deform::{
-    ContactSurface, FaceSurroundings, FreeSurface, HandleSystem, LayerSides, LocalRotation, PoseRequest, Quality,
+    ContactSurface, FaceSurroundings, FreeSurface, HandleSystem, LocalRotation, PoseRequest, Quality, RestCrossings,
     RestFaces, SolveState, SolvedNodes, SurfaceFaults, TurnChange, TurnChangeKind, VolumeScales, unfold_suspects,
 };
 use crate::exec::Exec;
-use crate::mesh::{Components, Mesh, signed_volume, surface_area};
+use crate::mesh::{Mesh, signed_volume, surface_area};
 use std::sync::OnceLock;
 
 /// How often the pose is solved again with smoother rotations.
@@ -113,12 +113,13 @@ impl<'a> BuckleWatch<'a> {
         if let Contact::Avoided { clearance } = settings.contact {
             self.exec.progress.begin_pass("contact");
             let mesh = &self.derived.mesh;
-            let parts = Components::of_triangles(mesh.positions.len(), &mesh.triangles);
+            let layers = self.derived.layer_sides(self.exec)?;
             let surface = ContactSurface {
                 mesh,
                 held: self.handles.given(),
                 clearance,
-                layers: &LayerSides::at_rest(mesh, parts.of_vertex, self.exec)?,
+                layers: &layers,
+                at_rest: RestCrossings::Stay,
             };
             surface.part(&mut solved.positions, self.exec)?;
         }

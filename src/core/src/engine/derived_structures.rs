@@ -10,13 +10,16 @@ use super::settings::{DeformerLimits, ESTIMATED_MEMORY, OpenOptions};
 use super::shape::TopologyId;
 use super::topology_state::{LineageOrigin, MeshDelta, TopologyLineage, TopologyState};
 use crate::asset::Model;
-use crate::deform::{BodyOptions, DeformableBody, FaceSurroundings, NeedlesAndCaps, TieOptions, VolumeMode};
+use crate::deform::{
+    BodyOptions, DeformableBody, FaceSurroundings, LayerSides, NeedlesAndCaps, TieOptions, VolumeMode,
+};
 use crate::edit::PatchedSurface;
 use crate::exec::Exec;
 use crate::graph::estimate_nodes;
 use crate::mesh::carry::CarrySurface;
 use crate::mesh::{Adjacency, Components, Mesh, MeshReport, NONE, inspect};
 use crate::pool::Pool;
+use crate::progress::Cancelled;
 use glam::DVec3;
 use std::sync::{Arc, OnceLock};
 
@@ -46,6 +49,8 @@ pub(super) struct DerivedStructures {
     ties: OnceLock<TieFacts>,
     /// What is around the surface's vertices, once faces of an animation turned over.
     pub surroundings: OnceLock<FaceSurroundings>,
+    /// Which parts lie on which in the rest pose, once a commit kept them apart.
+    layers: OnceLock<Arc<LayerSides>>,
 }
 
 /// What an edit made of a model.
@@ -200,6 +205,7 @@ impl DerivedStructures {
             packed: OnceLock::new(),
             ties: OnceLock::new(),
             surroundings: OnceLock::new(),
+            layers: OnceLock::new(),
         }
     }
 
@@ -244,6 +250,23 @@ impl DerivedStructures {
             Err(e @ (Error::TooLarge { .. } | Error::Cancelled)) => Err(e),
             // Another thread may have found the same meanwhile.
             found => answer(self.riders.get_or_init(|| found)),
+        }
+    }
+
+    /// Which parts lie on which in the rest pose; kept where there is memory for it.
+    ///
+    /// # Errors
+    /// [`Cancelled`].
+    pub fn layer_sides(&self, exec: &Exec<'_>) -> Result<Arc<LayerSides>, Cancelled> {
+        if let Some(known) = self.layers.get() {
+            return Ok(Arc::clone(known));
+        }
+        let parts = Components::of_triangles(self.mesh.positions.len(), &self.mesh.triangles);
+        let found = Arc::new(LayerSides::at_rest(&self.mesh, parts.of_vertex, exec)?);
+        match exec.progress.may_hold(self.byte_size() + found.byte_size() as u64) {
+            // Another thread may have found the same meanwhile.
+            true => Ok(Arc::clone(self.layers.get_or_init(|| found))),
+            false => Ok(found),
         }
     }
 
@@ -344,7 +367,8 @@ impl DerivedStructures {
                 .get()
                 .map_or(0, |r| r.as_ref().map_or(0, RidingVertices::byte_size))
             + self.packed.get().map_or(0, PackedRiders::byte_size)
-            + self.surroundings.get().map_or(0, FaceSurroundings::byte_size);
+            + self.surroundings.get().map_or(0, FaceSurroundings::byte_size)
+            + self.layers.get().map_or(0, |layers| layers.byte_size());
         model + past + parts as u64
     }
 

@@ -5,11 +5,9 @@
 //! deformer changes only when everything has succeeded.
 
 use super::adopt::ShapeToEdit;
+use super::carried_handles::{CarriedHandles, HeldVertices, carry_handles};
 use super::derived_structures::{DerivedStructures, TopologyChange};
-use super::edit_command::{
-    CarriedHandles, EditCommand, EditKind, EditOutcome, EditReport, EditedShape, HeldVertices, carry_handles,
-    kept_vertex_runs,
-};
+use super::edit_command::{EditCommand, EditKind, EditOutcome, EditReport, EditedShape, kept_vertex_runs};
 use super::edit_operations::{EditContext, plan_edit};
 use super::edit_surface::EditSurface;
 use super::error::Error;
@@ -24,7 +22,6 @@ use super::seams::Seams;
 use super::settings::{EDITED_AT_REST, ESTIMATED_MEMORY, HeldBeside, SolveMode, SolveSettings};
 use super::shape::{ModelShape, Shading};
 use super::topology_state::TopologyState;
-use super::wrap::WrapReport;
 use super::{Deformer, digest};
 use crate::edit::{PatchedSurface, SurfacePatch, apply_patch};
 use crate::exec::Exec;
@@ -63,7 +60,7 @@ impl Deformer {
             return Err(Error::Internal("the shape of another model".into()));
         }
         let (rest, shape) = (self.rest_shape(), &seen.shape);
-        let is_given = matches!(order.edit.kind(), EditKind::Adopt | EditKind::Wrap);
+        let is_given = order.edit.kind().gives_shape();
         let mut origins = self.topology().origins(&self.derived.mesh);
         let mut surface = self.edit_surface(&shape.positions, &origins, exec)?;
         let points = (shape.id != rest.id).then(|| surface.own_surface().point_positions());
@@ -97,8 +94,8 @@ impl Deformer {
         let mut report = self.report_edit(before, &applied, patch);
         report.warnings.extend(left_behind);
         report.wrap.clone_from(&seen.wrap);
-        let of_wrap = seen.wrap.iter().flat_map(WrapReport::warnings);
-        (report.warnings).extend(of_wrap.map(|w| DeformerWarning::new(w.code, w.message, "")));
+        report.unintersect = seen.unintersect;
+        report.warnings.extend_from_slice(&seen.warnings);
         report.warnings.extend(self.rounding_warning(seen, is_given));
         report.warnings.extend(self.flat_warning(seen, is_given));
         let points_before = self.derived.mesh.positions.len();

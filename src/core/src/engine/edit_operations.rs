@@ -140,8 +140,8 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
         Edit::Weld { tolerance } => plan_weld(context, *tolerance, exec)?,
         Edit::Clean(clean) => plan_cleaning(&surface, clean, exec)?,
         Edit::Adopt { .. } => plan_adoption(context),
-        // The shape that is edited is wrapped already.
-        Edit::Wrap(_) => SurfacePatch::default(),
+        // The shape that is edited is the result already.
+        Edit::Wrap(_) | Edit::Unintersect(_) => SurfacePatch::default(),
     };
     if let Some(cap) = edit.own_cap() {
         context.add_caps(&mut patch, cap);

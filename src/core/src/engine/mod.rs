@@ -30,6 +30,7 @@ mod adopt;
 mod animation;
 mod buckles;
 mod cap_coordinates;
+mod carried_handles;
 mod carry;
 mod clean;
 mod contact;
@@ -64,6 +65,7 @@ mod target_vertices;
 mod topology_state;
 mod transfer;
 mod tube_region;
+mod unintersect;
 mod vertex_targets;
 mod wrap;
 
@@ -79,7 +81,7 @@ pub use animation::{
 pub use deformer::Deformer;
 pub use edit_command::{
     CleanCommand, Creases, CutLine, Edit, EditCommand, EditKind, EditOutcome, EditReport, EditedShape, KeptVertexRun,
-    MergeJoin, ModelMerge, OwnCap, RemeshCommand, SmoothCommand, SmoothKind,
+    MergeJoin, ModelMerge, OwnCap, RemeshCommand, SmoothCommand, SmoothKind, UnintersectCommand, UnintersectReport,
 };
 pub use error::Error;
 pub use facts::{

@@ -21,5 +21,6 @@ mod splat_models;
 mod splats;
 mod surface_points;
 mod transfer;
+mod unintersect;
 mod vertex_targets;
 mod wrap;

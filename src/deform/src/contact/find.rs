@@ -82,6 +82,8 @@ pub(super) struct ContactFinder<'a> {
     pub layers: &'a LayerSides,
     pub style: PartingStyle,
     pub clearance: f64,
+    /// Whether surfaces that were nearer than the clearance in the rest pose may be that near.
+    pub keeps_rest_gaps: bool,
     /// Normals of the shape that is to be parted, by vertex.
     pub normals: Vec<DVec3>,
     pub knowledge: Knowledge,
@@ -270,6 +272,9 @@ impl ContactFinder<'_> {
 
     /// How far two sides are to be from each other: layers as far as in the rest pose, up to the clearance.
     fn least(&self, nodes: &[(u32, f64); 6]) -> f64 {
+        if !self.keeps_rest_gaps {
+            return self.clearance;
+        }
         let other = nodes
             .iter()
             .find(|(_, factor)| *factor < 0.0)

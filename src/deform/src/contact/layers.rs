@@ -10,8 +10,9 @@ use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
 use pliant_mesh::query::TriangleBvh;
 use pliant_mesh::query::closest_point::closest_weights_on_triangle;
-use pliant_mesh::{Adjacency, Mesh, NONE};
+use pliant_mesh::{Adjacency, Mesh, NONE, sorted_set};
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 
 /// Parts that a vertex remembers at most.
 const MOST_BESIDE: usize = 3;
@@ -25,6 +26,8 @@ const REACH_GAPS: f64 = 4.0;
 const REACH_EDGES: f64 = 3.0;
 /// In a pose a vertex is on the wrong side when it is further behind than this, median edges; what is less deep shows by what crosses.
 const BEHIND: f64 = 0.1;
+/// Vertices of a part that are asked, at most, on which side of another part it lies.
+const MOST_ASKED: usize = 1000;
 /// Vertices between two looks at whether the work is still wanted.
 const BLOCK: usize = 1 << 13;
 
@@ -98,7 +101,7 @@ impl LayerSides {
             });
             beside.extend(found);
         }
-        let edge = median_edge(positions, triangles);
+        let edge = mesh.median_edge();
         Ok(Self {
             beside,
             may_cross: Vec::new(),
@@ -106,6 +109,57 @@ impl LayerSides {
             behind: BEHIND * edge,
             part,
         })
+    }
+
+    /// Where triangles of two parts cross, puts all vertices of a part on the side of the other on which most of them are.
+    ///
+    /// # Errors
+    /// [`Cancelled`].
+    pub(super) fn of_most(mut self, mesh: &Mesh, crossings: &[[u32; 2]], exec: &Exec<'_>) -> Result<Self, Cancelled> {
+        if self.is_empty() {
+            return Ok(self);
+        }
+        let parts = crossings
+            .iter()
+            .map(|pair| pair.map(|t| self.part[mesh.triangles[t as usize][0] as usize]));
+        let both = parts.filter(|[a, b]| a != b).flat_map(|[a, b]| [[a, b], [b, a]]);
+        let both = sorted_set(both);
+        let mut vertices: BTreeMap<u32, Vec<u32>> = both.iter().map(|[own, _]| (*own, Vec::new())).collect();
+        for (v, part) in (0..).zip(&self.part) {
+            if let Some(of) = vertices.get_mut(part) {
+                of.push(v);
+            }
+        }
+        let surface = PartedSurface::of(mesh, &mesh.positions, &self.part, exec);
+        let borders = border_vertices(mesh.positions.len(), &mesh.triangles);
+        let mut sides = BTreeMap::new();
+        for [own, other] in both {
+            exec.check()?;
+            let all = &vertices[&own];
+            let asked = all.iter().step_by(all.len().div_ceil(MOST_ASKED));
+            let sum: f64 = asked.filter_map(|v| surface.side_of_part(*v, other, &borders)).sum();
+            if sum != 0.0 {
+                sides.insert([own, other], sum.signum());
+            }
+        }
+        for (own, part) in self.beside.iter_mut().zip(&self.part) {
+            for one in own {
+                match sides.get(&[*part, one.part]) {
+                    Some(side) if *side != one.side => (one.side, one.gap) = (*side, one.gap.max(self.behind)),
+                    _ => {}
+                }
+            }
+        }
+        Ok(self)
+    }
+
+    /// Bytes held on the heap.
+    pub fn byte_size(&self) -> usize {
+        let beside: usize = self.beside.iter().map(Vec::capacity).sum();
+        self.part.capacity() * size_of::<u32>()
+            + self.beside.capacity() * size_of::<Vec<BesidePart>>()
+            + beside * size_of::<BesidePart>()
+            + self.may_cross.capacity()
     }
 
     /// Whether there are none.
@@ -308,24 +362,34 @@ impl<'a> PartedSurface<'a> {
             };
             let part = self.part_of(found.triangle);
             seen.push(part);
-            let (place, along) = self.distance(point, found.triangle);
-            let gap = place.distance(point);
-            let corners = self.triangles[found.triangle as usize];
-            let (weights, _) = closest_weights_on_triangle(point, corners.map(|v| self.positions[v as usize]));
-            let on_border =
-                (0..3).all(|k| weights[k] < 1e-6 || borders[corners[k] as usize]) && weights.iter().any(|w| *w < 1e-6);
-            if on_border || along.abs() <= LEAST_COSINE * gap {
-                continue;
-            }
-            all.push(BesidePart {
-                part,
-                side: along.signum(),
-                gap,
-                triangle: found.triangle,
-                place,
-            });
+            all.extend(self.beside_triangle(point, found.triangle, borders));
         }
         all
+    }
+
+    /// The side of a vertex beside a part, however far off, if it has one.
+    fn side_of_part(&self, v: u32, part: u32, borders: &[bool]) -> Option<f64> {
+        let point = self.positions[v as usize];
+        let may_be = |node: usize| self.of_node[node].is_none_or(|of| of == part);
+        let found = (self.tree).closest_point_below(point, f64::INFINITY, &may_be, &|t| self.part_of(t) == part)?;
+        Some(self.beside_triangle(point, found.triangle, borders)?.side)
+    }
+
+    /// A point beside the triangle of another part that is nearest to it; `None` where it is neither before nor behind it.
+    fn beside_triangle(&self, point: DVec3, triangle: u32, borders: &[bool]) -> Option<BesidePart> {
+        let (place, along) = self.distance(point, triangle);
+        let gap = place.distance(point);
+        let corners = self.triangles[triangle as usize];
+        let (weights, _) = closest_weights_on_triangle(point, corners.map(|v| self.positions[v as usize]));
+        let on_border =
+            (0..3).all(|k| weights[k] < 1e-6 || borders[corners[k] as usize]) && weights.iter().any(|w| *w < 1e-6);
+        (!on_border && along.abs() > LEAST_COSINE * gap).then_some(BesidePart {
+            part: self.part_of(triangle),
+            side: along.signum(),
+            gap,
+            triangle,
+            place,
+        })
     }
 }
 
@@ -338,14 +402,4 @@ fn border_vertices(vertices: usize, triangles: &[[u32; 3]]) -> Vec<bool> {
         }
     }
     borders
-}
-
-fn median_edge(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
-    let length = |t: &[u32; 3]| positions[t[0] as usize].distance(positions[t[1] as usize]);
-    let mut lengths: Vec<f64> = triangles.iter().map(length).collect();
-    let middle = lengths.len() / 2;
-    match lengths.is_empty() {
-        true => 0.0,
-        false => *lengths.select_nth_unstable_by(middle, f64::total_cmp).1,
-    }
 }

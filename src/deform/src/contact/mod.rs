@@ -17,6 +17,7 @@ mod layers;
 mod normals;
 mod outfit;
 mod region;
+mod unintersect;
 
 use crate::surface_faults::most_overlaps;
 use contour::contour_conditions;
@@ -32,15 +33,20 @@ use pliant_exec::progress::Cancelled;
 use pliant_mesh::{Mesh, is_crossing, visit_crossings_within};
 use region::ContactRegion;
 use std::sync::{Mutex, PoisonError};
+pub use unintersect::{CrossingSurface, UncrossedSurface};
 
+/// How far the region reaches around triangles that cross, in rings of faces.
+const RINGS: usize = 16;
 /// The clearance where none is given, median edges around what crosses.
 const CLEARANCE: f64 = 0.1;
 /// Pairs that are worked on; a shape with more of them has collapsed, and stays as it is.
-const MOST_PAIRS: usize = 20_000;
+pub const MOST_PARTED: usize = 20_000;
 /// With so many times the pairs of the beginning a style is given up.
 const LOST: usize = 4;
 /// What parting may change lengths of edges by, on the mean, whatever the pose does.
 const LEAST_STRAIN: f64 = 0.02;
+/// The same, where what crosses in the rest pose is parted: there is no pose that changes lengths.
+const LEAST_STRAIN_AT_REST: f64 = 0.1;
 /// How often the conditions are chosen that hold with equality, where they stay in force.
 const CHOICES: usize = 3;
 /// Rounds of one style.
@@ -91,6 +97,7 @@ const PATIENCE: usize = 8;
 const LITTLE_STRAIN: f64 = 1.15;
 
 /// A surface that handles hold in part.
+#[derive(Clone, Copy)]
 pub struct ContactSurface<'a> {
     /// In the rest pose.
     pub mesh: &'a Mesh,
@@ -100,6 +107,17 @@ pub struct ContactSurface<'a> {
     pub clearance: Option<f64>,
     /// Which of its parts lie on which.
     pub layers: &'a LayerSides,
+    /// What crosses in the rest pose.
+    pub at_rest: RestCrossings,
+}
+
+/// What becomes of triangles that cross in the rest pose.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RestCrossings {
+    /// They may cross in a pose, too.
+    Stay,
+    /// They are parted; the surface gives way so many rings of faces around.
+    Part(usize),
 }
 
 /// What is wrong with a shape.
@@ -180,7 +198,7 @@ impl ContactSurface<'_> {
         let vertices = self.mesh.positions.len();
         let base = &positions[..vertices];
         let before = match self.faults(base, None, 0.0, exec)? {
-            Some(before) if (1..=MOST_PAIRS).contains(&before.count()) => before,
+            Some(before) if (1..=MOST_PARTED).contains(&before.count()) => before,
             _ => return Ok(()),
         };
         let mut parting = Parting::of(self, base, &before);
@@ -239,7 +257,7 @@ impl ContactSurface<'_> {
         Ok(Some(ContactFaults { crossings, misplaced }))
     }
 
-    /// Pairs of faces that cross, did not in the rest pose, and are not held wholly; ascending. With `is_asked` those pairs alone of
+    /// Pairs of faces that cross, did not in the rest pose (unless that is to be parted too), and are not held wholly; ascending. With `is_asked` those pairs alone of
     /// which one face is asked for. `None` where nearly all faces overlap.
     fn crossings(
         &self,
@@ -254,7 +272,8 @@ impl ContactSurface<'_> {
         let found = Mutex::new(Vec::new());
         let keep = |pair: [u32; 2]| {
             let mut corners = pair.iter().flat_map(|t| triangles[*t as usize]);
-            let was_there = || is_crossing(positions, origin, triangles, pair) || self.layers.allows(triangles, pair);
+            let at_rest = || self.at_rest == RestCrossings::Stay && is_crossing(positions, origin, triangles, pair);
+            let was_there = || at_rest() || self.layers.allows(triangles, pair);
             if !corners.all(|v| self.held[v as usize]) && !was_there() {
                 found.lock().unwrap_or_else(PoisonError::into_inner).push(pair);
             }
@@ -289,7 +308,11 @@ impl Parted {
 impl<'a> Parting<'a> {
     fn of(surface: &'a ContactSurface<'a>, base: &'a [DVec3], faults: &ContactFaults) -> Self {
         let mesh = surface.mesh;
-        let region = ContactRegion::around(mesh, &surface.held[..base.len()], &faults.places(mesh));
+        let rings = match surface.at_rest {
+            RestCrossings::Stay => RINGS,
+            RestCrossings::Part(rings) => rings,
+        };
+        let region = ContactRegion::around(mesh, &surface.held[..base.len()], &faults.places(mesh), rings);
         let before = Parted {
             faults: faults.count(),
             strain: surface.strain(base),
@@ -318,6 +341,7 @@ impl<'a> Parting<'a> {
             region: &self.region,
             layers: self.surface.layers,
             clearance: self.clearance,
+            keeps_rest_gaps: self.surface.at_rest == RestCrossings::Stay,
             style,
             normals,
             knowledge,
@@ -343,7 +367,11 @@ impl<'a> Parting<'a> {
             // The more is parted, the more lengths of edges may change: up to twice as far as before, on the mean, and some beside that
             // where the pose itself changes none.
             let parted = 1.0 - left as f64 / self.before.faults as f64;
-            let more = parted * parted * self.before.strain.max(LEAST_STRAIN);
+            let least = match self.surface.at_rest {
+                RestCrossings::Stay => LEAST_STRAIN,
+                RestCrossings::Part(_) => LEAST_STRAIN_AT_REST,
+            };
+            let more = parted * parted * self.before.strain.max(least);
             if strain <= self.before.strain + more {
                 self.best = Parted {
                     faults: left,

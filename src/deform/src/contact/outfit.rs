@@ -1,7 +1,7 @@
 //! An outfit on another body: what was outside of the body that it was made for is outside of the other one.
 
 use super::layers::LayerSides;
-use super::{ContactFaults, ContactSurface};
+use super::{ContactFaults, ContactSurface, RestCrossings};
 use crate::surface_faults::most_overlaps;
 use glam::DVec3;
 use pliant_exec::Exec;
@@ -82,6 +82,7 @@ impl OutfitOnBody<'_> {
             held: &held,
             clearance: Some(self.clearance.unwrap_or(CLEARANCE * diagonal)),
             layers: &sides,
+            at_rest: RestCrossings::Stay,
         };
         let mut positions = other.positions.clone();
         positions.extend(carried);

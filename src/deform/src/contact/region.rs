@@ -3,9 +3,6 @@
 use glam::DVec3;
 use pliant_mesh::{Mesh, NONE, sorted_set};
 
-/// How far the region reaches around triangles that cross, in rings of faces.
-const RINGS: usize = 16;
-
 /// The region. Its first vertices are free; after them come those around, which stay.
 pub(super) struct ContactRegion {
     /// Solver vertices.
@@ -25,8 +22,8 @@ pub(super) struct ContactRegion {
 }
 
 impl ContactRegion {
-    /// The region around pairs of faces. `held` says which vertices stay.
-    pub fn around(mesh: &Mesh, held: &[bool], crossings: &[[u32; 2]]) -> Self {
+    /// The region around pairs of faces, so many rings of faces far. `held` says which vertices stay.
+    pub fn around(mesh: &Mesh, held: &[bool], crossings: &[[u32; 2]], rings: usize) -> Self {
         let vertices = mesh.positions.len();
         let mut is_inside = vec![false; vertices];
         for t in crossings.as_flattened() {
@@ -36,7 +33,7 @@ impl ContactRegion {
         }
         // What is held is a border: the region does not go on behind it.
         let grows = |v: u32, ring: usize, is_inside: &[bool]| is_inside[v as usize] && (ring == 0 || !held[v as usize]);
-        for ring in 0..RINGS {
+        for ring in 0..rings {
             let met = mesh
                 .triangles
                 .iter()

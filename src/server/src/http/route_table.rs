@@ -146,7 +146,7 @@ pub(crate) const ROUTES: [Route; 26] = [
         method: "post",
         path: "/v1/sessions/{id}/edits",
         rpc: Some("Edit"),
-        summary: "Change the topology: cut, delete, fill, subdivide, remesh, smooth, decimate, merge, wrap, insert a curve or weld.",
+        summary: "Change the topology: cut, delete, fill, subdivide, remesh, smooth, decimate, merge, wrap, unintersect, insert a curve or weld.",
         takes: Some("EditRequest"),
         gives: Some("EditResult"),
         keyed: true,

@@ -306,7 +306,7 @@ class Session(Declared):
         **operation: Unpack[edits.EditFields],
     ) -> edits.EditResult:
         """Changes the topology: one of ``cut``, ``subdivide``, ``decimate``, ``delete``, ``fill``, ``remesh``, ``smooth``,
-        ``merge``, ``wrap``, ``insert_curve``, ``weld``, ``clean`` and ``adopt``.
+        ``merge``, ``wrap``, ``unintersect``, ``insert_curve``, ``weld``, ``clean`` and ``adopt``.
 
         Afterwards ``vertices`` and ``info`` are new, and streams have to be opened again. `progress` is True for a bar, or is called
         with percent done and 100; one that has a method ``stage`` gets the name of each stage.

@@ -1082,7 +1082,7 @@ class SolveRequest(_message.Message):
     def __init__(self, session_id: _Optional[str] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., options: _Optional[_Union[Options, _Mapping]] = ...) -> None: ...
 
 class EditRequest(_message.Message):
-    __slots__ = ("session_id", "on", "cut", "subdivide", "decimate", "delete", "fill", "remesh", "merge", "insert_curve", "weld", "smooth", "clean", "adopt", "wrap")
+    __slots__ = ("session_id", "on", "cut", "subdivide", "decimate", "delete", "fill", "remesh", "merge", "insert_curve", "weld", "smooth", "clean", "adopt", "wrap", "unintersect")
     class Cap(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         CONTINUED: _ClassVar[EditRequest.Cap]
@@ -1289,6 +1289,13 @@ class EditRequest(_message.Message):
         mask: Region
         in_place: bool
         def __init__(self, model: _Optional[bytes] = ..., session: _Optional[str] = ..., file: _Optional[str] = ..., format: _Optional[str] = ..., landmarks: _Optional[_Iterable[_Union[EditRequest.Wrap.Landmark, _Mapping]]] = ..., mask: _Optional[_Union[Region, _Mapping]] = ..., in_place: bool = ...) -> None: ...
+    class Unintersect(_message.Message):
+        __slots__ = ("fixed", "clearance")
+        FIXED_FIELD_NUMBER: _ClassVar[int]
+        CLEARANCE_FIELD_NUMBER: _ClassVar[int]
+        fixed: Region
+        clearance: float
+        def __init__(self, fixed: _Optional[_Union[Region, _Mapping]] = ..., clearance: _Optional[float] = ...) -> None: ...
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     ON_FIELD_NUMBER: _ClassVar[int]
     CUT_FIELD_NUMBER: _ClassVar[int]
@@ -1304,6 +1311,7 @@ class EditRequest(_message.Message):
     CLEAN_FIELD_NUMBER: _ClassVar[int]
     ADOPT_FIELD_NUMBER: _ClassVar[int]
     WRAP_FIELD_NUMBER: _ClassVar[int]
+    UNINTERSECT_FIELD_NUMBER: _ClassVar[int]
     session_id: str
     on: EditRequest.On
     cut: EditRequest.Cut
@@ -1319,7 +1327,8 @@ class EditRequest(_message.Message):
     clean: EditRequest.Clean
     adopt: EditRequest.Adopt
     wrap: EditRequest.Wrap
-    def __init__(self, session_id: _Optional[str] = ..., on: _Optional[_Union[EditRequest.On, str]] = ..., cut: _Optional[_Union[EditRequest.Cut, _Mapping]] = ..., subdivide: _Optional[_Union[EditRequest.Subdivide, _Mapping]] = ..., decimate: _Optional[_Union[EditRequest.Decimate, _Mapping]] = ..., delete: _Optional[_Union[EditRequest.Delete, _Mapping]] = ..., fill: _Optional[_Union[EditRequest.Fill, _Mapping]] = ..., remesh: _Optional[_Union[EditRequest.Remesh, _Mapping]] = ..., merge: _Optional[_Union[EditRequest.Merge, _Mapping]] = ..., insert_curve: _Optional[_Union[EditRequest.InsertCurve, _Mapping]] = ..., weld: _Optional[_Union[EditRequest.Weld, _Mapping]] = ..., smooth: _Optional[_Union[EditRequest.Smooth, _Mapping]] = ..., clean: _Optional[_Union[EditRequest.Clean, _Mapping]] = ..., adopt: _Optional[_Union[EditRequest.Adopt, _Mapping]] = ..., wrap: _Optional[_Union[EditRequest.Wrap, _Mapping]] = ...) -> None: ...
+    unintersect: EditRequest.Unintersect
+    def __init__(self, session_id: _Optional[str] = ..., on: _Optional[_Union[EditRequest.On, str]] = ..., cut: _Optional[_Union[EditRequest.Cut, _Mapping]] = ..., subdivide: _Optional[_Union[EditRequest.Subdivide, _Mapping]] = ..., decimate: _Optional[_Union[EditRequest.Decimate, _Mapping]] = ..., delete: _Optional[_Union[EditRequest.Delete, _Mapping]] = ..., fill: _Optional[_Union[EditRequest.Fill, _Mapping]] = ..., remesh: _Optional[_Union[EditRequest.Remesh, _Mapping]] = ..., merge: _Optional[_Union[EditRequest.Merge, _Mapping]] = ..., insert_curve: _Optional[_Union[EditRequest.InsertCurve, _Mapping]] = ..., weld: _Optional[_Union[EditRequest.Weld, _Mapping]] = ..., smooth: _Optional[_Union[EditRequest.Smooth, _Mapping]] = ..., clean: _Optional[_Union[EditRequest.Clean, _Mapping]] = ..., adopt: _Optional[_Union[EditRequest.Adopt, _Mapping]] = ..., wrap: _Optional[_Union[EditRequest.Wrap, _Mapping]] = ..., unintersect: _Optional[_Union[EditRequest.Unintersect, _Mapping]] = ...) -> None: ...
 
 class WrapReport(_message.Message):
     __slots__ = ("to_target", "from_target", "landmarks", "vertices", "unpulled_vertices", "flipped_triangles", "edge_distortion", "crossings_before", "crossings")
@@ -1352,8 +1361,26 @@ class WrapReport(_message.Message):
     crossings: int
     def __init__(self, to_target: _Optional[_Union[WrapReport.Distances, _Mapping]] = ..., from_target: _Optional[_Union[WrapReport.Distances, _Mapping]] = ..., landmarks: _Optional[_Union[WrapReport.Distances, _Mapping]] = ..., vertices: _Optional[int] = ..., unpulled_vertices: _Optional[int] = ..., flipped_triangles: _Optional[int] = ..., edge_distortion: _Optional[float] = ..., crossings_before: _Optional[int] = ..., crossings: _Optional[int] = ...) -> None: ...
 
+class UnintersectReport(_message.Message):
+    __slots__ = ("crossings_before", "crossings", "moved_vertices", "largest_move", "rms_move", "largest_move_in_edges", "rms_move_in_edges")
+    CROSSINGS_BEFORE_FIELD_NUMBER: _ClassVar[int]
+    CROSSINGS_FIELD_NUMBER: _ClassVar[int]
+    MOVED_VERTICES_FIELD_NUMBER: _ClassVar[int]
+    LARGEST_MOVE_FIELD_NUMBER: _ClassVar[int]
+    RMS_MOVE_FIELD_NUMBER: _ClassVar[int]
+    LARGEST_MOVE_IN_EDGES_FIELD_NUMBER: _ClassVar[int]
+    RMS_MOVE_IN_EDGES_FIELD_NUMBER: _ClassVar[int]
+    crossings_before: int
+    crossings: int
+    moved_vertices: int
+    largest_move: float
+    rms_move: float
+    largest_move_in_edges: float
+    rms_move_in_edges: float
+    def __init__(self, crossings_before: _Optional[int] = ..., crossings: _Optional[int] = ..., moved_vertices: _Optional[int] = ..., largest_move: _Optional[float] = ..., rms_move: _Optional[float] = ..., largest_move_in_edges: _Optional[float] = ..., rms_move_in_edges: _Optional[float] = ...) -> None: ...
+
 class EditResult(_message.Message):
-    __slots__ = ("revision", "before", "after", "handles_kept", "warnings", "ms", "kept", "curve", "digest", "repaired", "deviation", "volume_change", "creases", "wrap")
+    __slots__ = ("revision", "before", "after", "handles_kept", "warnings", "ms", "kept", "curve", "digest", "repaired", "deviation", "volume_change", "creases", "wrap", "unintersect")
     class Counts(_message.Message):
         __slots__ = ("vertices", "faces")
         VERTICES_FIELD_NUMBER: _ClassVar[int]
@@ -1391,6 +1418,7 @@ class EditResult(_message.Message):
     VOLUME_CHANGE_FIELD_NUMBER: _ClassVar[int]
     CREASES_FIELD_NUMBER: _ClassVar[int]
     WRAP_FIELD_NUMBER: _ClassVar[int]
+    UNINTERSECT_FIELD_NUMBER: _ClassVar[int]
     revision: int
     before: EditResult.Counts
     after: EditResult.Counts
@@ -1405,7 +1433,8 @@ class EditResult(_message.Message):
     volume_change: float
     creases: _containers.RepeatedScalarFieldContainer[int]
     wrap: WrapReport
-    def __init__(self, revision: _Optional[int] = ..., before: _Optional[_Union[EditResult.Counts, _Mapping]] = ..., after: _Optional[_Union[EditResult.Counts, _Mapping]] = ..., handles_kept: _Optional[_Iterable[str]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., ms: _Optional[_Mapping[str, float]] = ..., kept: _Optional[_Iterable[_Union[EditResult.Run, _Mapping]]] = ..., curve: _Optional[_Iterable[int]] = ..., digest: _Optional[str] = ..., repaired: bool = ..., deviation: _Optional[float] = ..., volume_change: _Optional[float] = ..., creases: _Optional[_Iterable[int]] = ..., wrap: _Optional[_Union[WrapReport, _Mapping]] = ...) -> None: ...
+    unintersect: UnintersectReport
+    def __init__(self, revision: _Optional[int] = ..., before: _Optional[_Union[EditResult.Counts, _Mapping]] = ..., after: _Optional[_Union[EditResult.Counts, _Mapping]] = ..., handles_kept: _Optional[_Iterable[str]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., ms: _Optional[_Mapping[str, float]] = ..., kept: _Optional[_Iterable[_Union[EditResult.Run, _Mapping]]] = ..., curve: _Optional[_Iterable[int]] = ..., digest: _Optional[str] = ..., repaired: bool = ..., deviation: _Optional[float] = ..., volume_change: _Optional[float] = ..., creases: _Optional[_Iterable[int]] = ..., wrap: _Optional[_Union[WrapReport, _Mapping]] = ..., unintersect: _Optional[_Union[UnintersectReport, _Mapping]] = ...) -> None: ...
 
 class Commit(_message.Message):
     __slots__ = ("revision", "kind", "digest")
