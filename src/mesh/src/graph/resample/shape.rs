@@ -20,7 +20,7 @@ const MOST_GROWN: f64 = 4.0;
 /// A vertex further from the lattice than this many intervals wants nodes of its own.
 const FARTHEST: f64 = 3.5;
 /// Pairs of vertices and nodes whose distances are compared, at most.
-const MOST_COMPARED: usize = 1 << 26;
+const MOST_COMPARED: usize = 1 << 24;
 
 /// The graph after an edit; `None` where a new one has to be built.
 pub(super) fn resample_shape(
@@ -43,7 +43,7 @@ pub(super) fn resample_shape(
     if !Adjacency::build(between.positions.len(), &between.triangles).is_balanced() {
         return Ok(None);
     }
-    let edited = EditedShape {
+    let edited = EditSite {
         old,
         change,
         points,
@@ -62,6 +62,7 @@ pub(super) fn resample_shape(
     let Some(ties) = edited.find_ties(&around, &lattice.gone) else {
         return Ok(None);
     };
+    exec.check()?;
     let Some(nearest) = edited.find_nearest(&lattice.gone) else {
         return Ok(None);
     };
@@ -123,7 +124,7 @@ fn mark_struts(old: &GraphBefore<'_>, resampled: &mut ResampledGraph) {
 }
 
 /// An edit of a mesh, and the faces around it.
-struct EditedShape<'a> {
+struct EditSite<'a> {
     old: &'a GraphBefore<'a>,
     change: &'a MeshChange<'a>,
     points: &'a ChangedPoints,
@@ -152,8 +153,8 @@ struct SurfaceBefore {
 }
 
 impl SurfaceBefore {
-    fn of(edited: &EditedShape<'_>) -> Self {
-        let EditedShape {
+    fn of(edited: &EditSite<'_>) -> Self {
+        let EditSite {
             old,
             change,
             points,
@@ -198,7 +199,7 @@ impl SurfaceBefore {
         }
     }
 
-    /// Whether any of the vertices has an edge to another one that is no edge of the mesh.
+    /// Whether any of the vertices has an edge to another one beside those of the mesh.
     fn has_struts(&self, old: &GraphBefore<'_>) -> bool {
         old.stats.struts > 0
             && self.vertices.iter().any(|v| {
@@ -220,7 +221,7 @@ impl SurfaceBefore {
     }
 
     /// 1, or −1 where normals lead inwards, to the lattice.
-    fn turn(&self, edited: &EditedShape<'_>) -> f64 {
+    fn turn(&self, edited: &EditSite<'_>) -> f64 {
         let old = edited.old;
         let inwards = self.ties(old).map(|(v, node, _)| {
             let way = old.positions[node as usize] - old.positions[v.vertex as usize];
@@ -243,7 +244,7 @@ struct LatticeAfter {
 /// A tie of a lattice node to a point, by new number.
 type FoundTie = (u32, u32, f32);
 
-impl EditedShape<'_> {
+impl EditSite<'_> {
     /// Which nodes and edges of the lattice the new surface leaves.
     fn judge_lattice(&self, around: &SurfaceBefore, between: &LocalFaces, exec: &Exec<'_>) -> LatticeAfter {
         let old = self.old;
