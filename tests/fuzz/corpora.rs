@@ -344,6 +344,7 @@ fn model_record() -> Vec<u8> {
         near_origin: true,
         every_cut_ends_lines: true,
         riders_keep_sides: true,
+        follows_edits: true,
         label: "a box".into(),
         format: Format::OBJ,
         graph_bytes: Some(1 << 30),

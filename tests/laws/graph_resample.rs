@@ -13,6 +13,7 @@ use resampling::{Plan, Surface};
 
 mod laws;
 mod resampling;
+mod shape_kind;
 use crate::support::shapes;
 
 fn ball() -> Surface {

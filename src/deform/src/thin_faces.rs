@@ -137,19 +137,25 @@ fn reaches(mesh: &Mesh) -> Vec<f64> {
         .into_iter()
         .map(|bits| f64::from_bits(bits.into_inner()))
         .collect();
+    // Only what was raised in one round can raise others in the next.
+    let mut is_raised = vec![true; reach.len()];
     for _round in 0..SPREAD {
+        let may_raise = |t: &&[u32; 3]| t.iter().any(|&v| is_raised[v as usize]);
         let raised_ends = |(a, b, length): (usize, usize, f64)| {
             [(a, b), (b, a)].map(|(from, to)| (to, reach[from] - length, reach[to]))
         };
-        let raised: Vec<(usize, f64)> = (triangles().flat_map_iter(edges).flat_map_iter(raised_ends))
+        let open = triangles().filter(may_raise);
+        let raised: Vec<(usize, f64)> = (open.flat_map_iter(edges).flat_map_iter(raised_ends))
             .filter(|(_, left, now)| left > now)
             .map(|(to, left, _)| (to, left))
             .collect();
         if raised.is_empty() {
             break;
         }
+        is_raised.fill(false);
         for (to, left) in raised {
             reach[to] = reach[to].max(left);
+            is_raised[to] = true;
         }
     }
     reach

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::support::messages::DeformerMessages;
-use pliant::engine::{ModelShape, SolveMode};
+use pliant::engine::{DeformerLimits, ModelShape, OpenOptions, SolveMode};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 
@@ -21,7 +21,7 @@ fn paper_held() -> Deformer {
     bench
 }
 
-/// A graph that follows edits: of kind PAPER.
+/// A graph of kind PAPER.
 fn paper_bench(shape: &bench::Shape, pool: &Pool) -> Deformer {
     let create = message(&serde_json::json!({"volumeGraph": {"kind": "PAPER"}}));
     bench_with(shape, &create, pool)
@@ -82,8 +82,41 @@ fn edits_are_followed_and_the_next_pose_is_that_of_a_freshly_opened_model() {
 }
 
 #[test]
-fn an_interior_of_the_shape_is_that_of_the_edited_model_opened() {
+fn an_interior_of_the_shape_stays_and_the_next_pose_is_about_that_of_the_edited_model_opened() {
     let mut bench = bench(&fine_bar());
+    set(&mut bench, handles());
+    for (k, request) in [
+        delete(ball([0.5, 0.0, 2.0], 0.2), true),
+        midpoint(Some(ball([-0.5, 0.1, 1.5], 0.25))),
+        remesh(ball([0.0, 0.5, 2.4], 0.3), 0.05),
+    ]
+    .iter()
+    .enumerate()
+    {
+        let outcome = edited(&mut bench, request);
+        assert!(outcome.result.repaired, "edit {k} is followed");
+        let here = solve(&mut bench, &bend(), 1e-6);
+        let there = solve(&mut fresh(&bench, super::bench::bench), &bend(), 1e-6);
+        let apart = largest_distance(&here.positions, &there.positions) / bench.diagonal();
+        assert!(apart < 0.01, "edit {k}: {apart} of the diagonal apart");
+        assert!(
+            here.stats.cycles <= there.stats.cycles + 1,
+            "edit {k}: {} cycles, {} rebuilt",
+            here.stats.cycles,
+            there.stats.cycles
+        );
+    }
+}
+
+#[test]
+fn in_sessions_from_before_an_interior_of_the_shape_is_that_of_the_edited_model_opened() {
+    let open = |shape: &bench::Shape| {
+        let mut options = OpenOptions::default();
+        options.body.graph.follows_edits = false;
+        let limits = DeformerLimits::default();
+        Deformer::open(bench::obj(shape), &options, &limits, &Exec::new(&pool(2), &Silent)).expect("the shape opens")
+    };
+    let mut bench = open(&fine_bar());
     set(&mut bench, handles());
     for (k, request) in [
         delete(ball([0.5, 0.0, 2.0], 0.2), true),
@@ -92,9 +125,9 @@ fn an_interior_of_the_shape_is_that_of_the_edited_model_opened() {
     .iter()
     .enumerate()
     {
-        edited(&mut bench, request);
+        assert!(!edited(&mut bench, request).result.repaired);
         let here = solve(&mut bench, &bend(), 1e-6);
-        let there = solve(&mut fresh(&bench, super::bench::bench), &bend(), 1e-6);
+        let there = solve(&mut fresh(&bench, open), &bend(), 1e-6);
         assert!(here.positions == there.positions, "edit {k}");
     }
 }

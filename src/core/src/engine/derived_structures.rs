@@ -111,7 +111,7 @@ impl DerivedStructures {
         limits: &DeformerLimits,
         exec: &Exec<'_>,
     ) -> Result<Self, Error> {
-        if change.follow && !change.topology.is_apart() {
+        if change.follow && !change.topology.is_apart() && self.body.graph.follows_edits() {
             exec.progress.report("mesh", 0.0);
             let mesh = change.topology.mesh(options.weld)?;
             let at = change.nodes.as_deref().unwrap_or(&self.body.graph.positions);

@@ -84,6 +84,12 @@ impl MeshGraph {
         self.offsets[node as usize] as usize..self.offsets[node as usize + 1] as usize
     }
 
+    /// Whether [`resample`](crate::graph::resample) may follow an edit of the mesh.
+    pub fn follows_edits(&self) -> bool {
+        let is_surface = self.surface == self.nodes() && self.stats.struts == 0;
+        is_surface || self.recipe.inside.is_some() || self.recipe.shape_interval.is_some()
+    }
+
     /// Moves all nodes by `way`; those of the surface to `surface`, which is there already.
     ///
     /// # Panics
@@ -124,6 +130,9 @@ pub struct GraphRecipe {
     pub(super) cotangents: Option<CotangentScale>,
     /// How interior nodes of the paper's kind were placed; `None` where there are none.
     pub(super) inside: Option<InteriorRecipe>,
+    /// Side of the smallest cell of the lattices that follow the shape; `None` where there are none, or where they are not to
+    /// follow edits.
+    pub(super) shape_interval: Option<f64>,
 }
 
 /// How interior nodes were placed.

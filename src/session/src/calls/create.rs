@@ -178,6 +178,7 @@ fn new_session(
             near_origin: true,
             every_cut_ends_lines: true,
             riders_keep_sides: true,
+            follows_edits: true,
             label: record.label.clone(),
             format: opened.deformer.engine.format(),
             graph_bytes: Some(opened.graph_bytes),

@@ -31,6 +31,9 @@ pub(super) struct ModelMessage {
     /// See [`RecordedModel`](super::RecordedModel).
     #[prost(bool, tag = "10")]
     pub riders_keep_sides: bool,
+    /// See [`RecordedModel`](super::RecordedModel).
+    #[prost(bool, tag = "11")]
+    pub follows_edits: bool,
 }
 
 /// Files by the names of the objects that hold them.

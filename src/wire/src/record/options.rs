@@ -26,6 +26,8 @@ pub struct RecordedModel {
     pub every_cut_ends_lines: bool,
     /// Whether what rides along follows one side of a cut alone, as it does today.
     pub riders_keep_sides: bool,
+    /// Whether a graph that follows the shape follows edits, as it does today. Records of before have a new one after each edit.
+    pub follows_edits: bool,
     /// The session's label.
     pub label: String,
     /// The format of its files.
@@ -48,6 +50,7 @@ impl RecordedModel {
             near_origin: self.near_origin,
             every_cut_ends_lines: self.every_cut_ends_lines,
             riders_keep_sides: self.riders_keep_sides,
+            follows_edits: self.follows_edits,
         };
         message.encode_to_vec()
     }
@@ -66,6 +69,7 @@ impl RecordedModel {
             near_origin: message.near_origin,
             every_cut_ends_lines: message.every_cut_ends_lines,
             riders_keep_sides: message.riders_keep_sides,
+            follows_edits: message.follows_edits,
             label: message.label,
             format: Format::from_name(&message.format)
                 .ok_or_else(|| Error::invalid("model.format", "is not a format"))?,
@@ -85,6 +89,7 @@ impl RecordedModel {
         options.body.near_origin = self.near_origin;
         options.every_cut_ends_lines = self.every_cut_ends_lines;
         options.riders_keep_sides = self.riders_keep_sides;
+        options.body.graph.follows_edits = self.follows_edits;
         if !self.of_today {
             let graph = &mut options.body.graph;
             graph.kind = InteriorKind::Paper;
@@ -116,6 +121,7 @@ mod tests {
             near_origin: true,
             every_cut_ends_lines: true,
             riders_keep_sides: true,
+            follows_edits: true,
             label: "a label".into(),
             format: Format::OBJ,
             graph_bytes: Some(1 << 40),
@@ -127,10 +133,11 @@ mod tests {
         // Records of before say nothing of it, and have the graph that they had.
         let before = RecordedModel {
             near_origin: false,
+            follows_edits: false,
             ..again
         };
         let opened = before.open_options().expect("it was read");
-        assert!(!opened.body.near_origin);
+        assert!(!opened.body.near_origin && !opened.body.graph.follows_edits);
     }
 
     #[test]

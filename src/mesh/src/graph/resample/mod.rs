@@ -13,6 +13,7 @@ mod edges;
 mod hull;
 mod interior;
 mod rows;
+mod shape;
 mod zone;
 
 use crate::graph::mesh_graph::{GraphRecipe, GraphStats, InteriorRecipe, MeshGraph};
@@ -31,10 +32,11 @@ use crate::graph::resample::interior::{EditedShell, InteriorChange};
 use crate::graph::resample::zone::{ChangeZone, SpreadLengths};
 use crate::graph::resample::zone::{LocalFaces, LocalMesh};
 
-/// The graph after `change` from the graph before; `None` where a new graph has to be built: when interior nodes follow the shape
-/// ([`InteriorKind::Shape`](crate::graph::InteriorKind)), when the edit changes more than a
+/// The graph after `change` from the graph before; `None` where a new graph has to be built: when the edit changes more than a
 /// quarter of the points, opens a part widely, joins what encloses space with what does not, or touches a mesh so torn
-/// that all of it is needed to find what lies inside.
+/// that all of it is needed to find what lies inside. Where interior nodes follow the shape
+/// ([`InteriorKind::Shape`](crate::graph::InteriorKind)) also when the edit opens a part at all, grows it by more than a few cells,
+/// or changes a place that struts hold.
 ///
 /// Parts that were surfaces only stay so. `positions` has all nodes of `old` where they are now: as built, or as a
 /// deformation left them; points that `change` does not name must lie there. Edges keep their weights but where faces
@@ -57,9 +59,11 @@ pub fn resample(
     let Some(points) = ChangedPoints::from_change(old, change) else {
         return Ok(None);
     };
+    if !old.follows_edits() {
+        return Ok(None);
+    }
     match &old.recipe.inside {
-        // A graph that follows the shape, or of parts that are kept apart, is not changed in one place alone.
-        None if old.surface < old.nodes() || old.stats.struts > 0 => Ok(None),
+        None if old.recipe.shape_interval.is_some() => shape::resample_shape(old, change, &points, exec),
         None => resample_surface(old, change, &points, exec.pool).map(Some),
         Some(inside) if inside.soups => Ok(None),
         Some(inside) => match resample_volume(old, inside, change, &points, exec) {

@@ -346,7 +346,8 @@ pub(super) fn find_local(
 ) -> FoundFaces {
     let bounds = zone.map(ChangeZone::bounds);
     let code = |p: &DVec3| match &bounds {
-        None => 1,
+        // Beside the box on every axis: only faces that changed are found.
+        None => 0b01_0101,
         Some(b) => {
             let side = |axis: usize| u8::from(p[axis] < b.min[axis]) | u8::from(p[axis] > b.max[axis]) << 1;
             side(0) | side(1) << 2 | side(2) << 4
@@ -452,6 +453,17 @@ impl LocalMesh {
     }
 }
 
+/// Which faces enclose space before an edit and after it.
+pub(super) struct EnclosingFaces<'a> {
+    /// By a corner before the edit.
+    pub(super) before: &'a dyn Fn(u32) -> bool,
+    /// By a corner after it.
+    pub(super) now: &'a dyn Fn(u32) -> bool,
+    /// Loops that faces closed, and close now.
+    pub(super) lost_loops: &'a [Vec<u32>],
+    pub(super) new_loops: &'a [Vec<u32>],
+}
+
 /// Faces with corners of their own.
 #[derive(Default)]
 pub(super) struct LocalFaces {
@@ -499,6 +511,23 @@ impl LocalFaces {
         found: &FoundFaces,
     ) -> Self {
         let reach = old.recipe.inside.as_ref().map_or(&[][..], |inside| &inside.reach);
+        let encloses = EnclosingFaces {
+            before: &|o| reach[o as usize] != 0.0,
+            now: &|v| hull.reach[v as usize] != 0.0,
+            lost_loops: &hull.lost_loops,
+            new_loops: &hull.new_loops,
+        };
+        Self::between_surfaces(old, change, points, &encloses, found)
+    }
+
+    /// As [`between_hulls`](Self::between_hulls), of the faces that `encloses` says.
+    pub(super) fn between_surfaces(
+        old: &GraphBefore<'_>,
+        change: &MeshChange,
+        points: &ChangedPoints,
+        encloses: &EnclosingFaces<'_>,
+        found: &FoundFaces,
+    ) -> Self {
         let (new, before) = (change.positions.len() as u64, old.surface as u64);
         // Old points that stay where they were have the names of new ones.
         let name = |o: u32| match points.new_from_old[o as usize] {
@@ -507,10 +536,10 @@ impl LocalFaces {
         };
         let turned = |[a, b, c]: [u64; 3]| [a, c, b];
         let mut faces: Vec<[u64; 3]> = Vec::new();
-        let gone = change.removed.iter().filter(|t| reach[t[0] as usize] != 0.0);
+        let gone = change.removed.iter().filter(|t| (encloses.before)(t[0]));
         faces.extend(gone.map(|t| turned(t.map(name))));
         let mut added: Vec<[u32; 3]> = change.added.iter().map(|&t| change.triangles[t as usize]).collect();
-        let enclosing = |t: &&[u32; 3]| hull.reach[t[0] as usize] != 0.0;
+        let enclosing = |t: &&[u32; 3]| (encloses.now)(t[0]);
         faces.extend(added.iter().filter(enclosing).map(|t| t.map(u64::from)));
         added.sort_unstable();
         let moved = found.with_corner(change, &points.moved);
@@ -526,13 +555,13 @@ impl LocalFaces {
             }
         }
         let mut middles: Vec<DVec3> = Vec::new();
-        for ring in &hull.new_loops {
+        for ring in encloses.new_loops {
             let (middle, edges) = fan_over_loop(ring, |v| change.positions[v as usize]);
             let own = new + before + middles.len() as u64;
             faces.extend(edges.map(|[a, b]| [u64::from(a), u64::from(b), own]));
             middles.push(middle);
         }
-        for ring in &hull.lost_loops {
+        for ring in encloses.lost_loops {
             let (middle, edges) = fan_over_loop(ring, |v| old.positions[v as usize]);
             let own = new + before + middles.len() as u64;
             faces.extend(edges.map(|[a, b]| turned([name(a), name(b), own])));

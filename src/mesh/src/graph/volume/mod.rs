@@ -57,6 +57,8 @@ pub struct VolumeOptions {
     pub stiffness: f64,
     /// Most nodes that the graph may have.
     pub max_nodes: usize,
+    /// Of kind [`InteriorKind::Shape`], whether [`resample`](crate::graph::resample()) follows an edit of the mesh.
+    pub follows_edits: bool,
 }
 
 impl Default for VolumeOptions {
@@ -69,6 +71,7 @@ impl Default for VolumeOptions {
             weights: EdgeWeights::default(),
             stiffness: 1.0,
             max_nodes: 50_000_000,
+            follows_edits: true,
         }
     }
 }

@@ -107,7 +107,12 @@ pub(in crate::graph) fn shape_interior(
         reach: &reach,
         areas: &areas,
     };
-    let JoinedLattices { mut inner, stats, .. } = lattices;
+    let JoinedLattices {
+        mut inner,
+        stats,
+        intervals,
+        ..
+    } = lattices;
     inner.struts = struts(site, &thin)?;
     let stiffness = options.stiffness as f32;
     inner.struts.iter_mut().for_each(|(_, weight)| *weight *= stiffness);
@@ -116,6 +121,8 @@ pub(in crate::graph) fn shape_interior(
     if inner.positions.is_empty() && inner.struts.is_empty() {
         return Ok(None);
     }
+    let smallest = intervals.iter().copied().reduce(f64::min);
+    inner.recipe.shape_interval = smallest.filter(|_| options.follows_edits);
     inner.stats = GraphStats {
         lattice_nodes: inner.lattice.len(),
         struts: inner.struts.len(),
