@@ -83,7 +83,7 @@ mod thin_faces;
 mod volume_scales;
 
 pub use body::{BodyOptions, CoarseOperators, DeformableBody, EdgeWeights, TieFamilies, TieOptions, VolumeMode};
-pub use contact::{ContactSurface, FittedOutfit, LayerSides, OutfitFaults, OutfitOnBody};
+pub use contact::{ContactMemory, ContactSurface, FittedOutfit, LayerSides, MovingSurface, OutfitFaults, OutfitOnBody};
 pub use error::Error;
 pub use fields::HarmonicFields;
 pub use first_pass::{LocalFrame, LocalRotation, PoseBlend, frames, pack_rotation};

@@ -6,17 +6,18 @@
 //! around them, then further wherever that was not enough. At last there is the pose without fits. The shape with the fewest
 //! faults of all of these is kept, the earlier one of equals, so the fitted pose stays, bit for bit, where nothing is better.
 
+use super::contact::part_surfaces;
 use super::derived_structures::DerivedStructures;
 use super::error::Error;
 use super::handle::{Falloff, FalloffCurve};
 use super::resolved_handles::fading_weights;
 use super::settings::{Contact, SolveSettings};
 use crate::deform::{
-    ContactSurface, FaceSurroundings, FreeSurface, HandleSystem, LayerSides, LocalRotation, PoseRequest, Quality,
-    RestFaces, SolveState, SolvedNodes, SurfaceFaults, TurnChange, TurnChangeKind, VolumeScales, unfold_suspects,
+    FaceSurroundings, FreeSurface, HandleSystem, LocalRotation, PoseRequest, Quality, RestFaces, SolveState,
+    SolvedNodes, SurfaceFaults, TurnChange, TurnChangeKind, VolumeScales, unfold_suspects,
 };
 use crate::exec::Exec;
-use crate::mesh::{Components, Mesh, signed_volume, surface_area};
+use crate::mesh::{Mesh, signed_volume, surface_area};
 use std::sync::OnceLock;
 
 /// How often the pose is solved again with smoother rotations.
@@ -111,16 +112,7 @@ impl<'a> BuckleWatch<'a> {
             solved = self.unbuckled(solved, state)?;
         }
         if let Contact::Avoided { clearance } = settings.contact {
-            self.exec.progress.begin_pass("contact");
-            let mesh = &self.derived.mesh;
-            let parts = Components::of_triangles(mesh.positions.len(), &mesh.triangles);
-            let surface = ContactSurface {
-                mesh,
-                held: self.handles.given(),
-                clearance,
-                layers: &LayerSides::at_rest(mesh, parts.of_vertex, self.exec)?,
-            };
-            surface.part(&mut solved.positions, self.exec)?;
+            part_surfaces(self.derived, self.handles, clearance, &mut solved.positions, self.exec)?;
         }
         Ok(solved)
     }
