@@ -84,8 +84,8 @@ mod volume_scales;
 
 pub use body::{BodyOptions, CoarseOperators, DeformableBody, EdgeWeights, TieFamilies, TieOptions, VolumeMode};
 pub use contact::{
-    ContactSurface, CrossingSurface, FittedOutfit, LayerSides, MOST_PARTED, OutfitFaults, OutfitOnBody, RestCrossings,
-    UncrossedSurface,
+    ContactMemory, ContactSurface, CrossingSurface, FittedOutfit, LayerSides, MOST_PARTED, MovingSurface, OutfitFaults,
+    OutfitOnBody, RestCrossings, UncrossedSurface,
 };
 pub use error::Error;
 pub use fields::HarmonicFields;

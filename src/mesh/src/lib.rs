@@ -15,6 +15,7 @@ mod inspect;
 mod intersections;
 pub mod local_turns;
 mod measure;
+mod moving_crossings;
 pub mod query;
 pub mod rotation;
 pub mod shading;
@@ -34,5 +35,6 @@ pub use intersections::{
 pub use measure::{
     BoundingBox, brief_number, brief_point, grouped_count, mean_edge_length, signed_volume, surface_area,
 };
+pub use moving_crossings::MovingCrossings;
 pub use weld::{Weld, mix_bits};
 pub use welded_mesh::{Mesh, NONE};

@@ -6,14 +6,15 @@
 //! around them, then further wherever that was not enough. At last there is the pose without fits. The shape with the fewest
 //! faults of all of these is kept, the earlier one of equals, so the fitted pose stays, bit for bit, where nothing is better.
 
+use super::contact::part_surfaces;
 use super::derived_structures::DerivedStructures;
 use super::error::Error;
 use super::handle::{Falloff, FalloffCurve};
 use super::resolved_handles::fading_weights;
 use super::settings::{Contact, SolveSettings};
 use crate::deform::{
-    ContactSurface, FaceSurroundings, FreeSurface, HandleSystem, LocalRotation, PoseRequest, Quality, RestCrossings,
-    RestFaces, SolveState, SolvedNodes, SurfaceFaults, TurnChange, TurnChangeKind, VolumeScales, unfold_suspects,
+    FaceSurroundings, FreeSurface, HandleSystem, LocalRotation, PoseRequest, Quality, RestFaces, SolveState,
+    SolvedNodes, SurfaceFaults, TurnChange, TurnChangeKind, VolumeScales, unfold_suspects,
 };
 use crate::exec::Exec;
 use crate::mesh::{Mesh, signed_volume, surface_area};
@@ -111,17 +112,7 @@ impl<'a> BuckleWatch<'a> {
             solved = self.unbuckled(solved, state)?;
         }
         if let Contact::Avoided { clearance } = settings.contact {
-            self.exec.progress.begin_pass("contact");
-            let mesh = &self.derived.mesh;
-            let layers = self.derived.layer_sides(self.exec)?;
-            let surface = ContactSurface {
-                mesh,
-                held: self.handles.given(),
-                clearance,
-                layers: &layers,
-                at_rest: RestCrossings::Stay,
-            };
-            surface.part(&mut solved.positions, self.exec)?;
+            part_surfaces(self.derived, self.handles, clearance, &mut solved.positions, self.exec)?;
         }
         Ok(solved)
     }

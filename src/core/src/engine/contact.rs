@@ -1,10 +1,12 @@
-//! Warnings of surfaces that a commit could not keep from crossing.
+//! Surfaces kept from crossing, in commits and while they move, and warnings of those that a commit could not keep from it.
 
 use super::Deformer;
+use super::derived_structures::DerivedStructures;
 use super::error::Error;
 use super::facts::DeformerWarning;
 use super::handle::HandlePoses;
 use super::settings::{Contact, SolveSettings};
+use crate::deform::{ContactSurface, HandleSystem, MovingSurface, RestCrossings, SolveState};
 use crate::exec::Exec;
 use crate::mesh::PairKind;
 use glam::DVec3;
@@ -13,6 +15,53 @@ use glam::DVec3;
 const MOST_SEEN: usize = 10_000;
 /// and how many it names.
 const MOST_NAMED: usize = 8;
+
+/// Moves surfaces apart that a pose pushes through each other, whatever was solved before.
+///
+/// # Errors
+/// [`Error::Cancelled`].
+pub(super) fn part_surfaces(
+    derived: &DerivedStructures,
+    handles: &HandleSystem,
+    clearance: Option<f64>,
+    positions: &mut [DVec3],
+    exec: &Exec<'_>,
+) -> Result<(), Error> {
+    exec.progress.begin_pass("contact");
+    let layers = derived.layer_sides(exec)?;
+    let surface = ContactSurface {
+        mesh: &derived.mesh,
+        held: handles.given(),
+        clearance,
+        layers: &layers,
+        at_rest: RestCrossings::Stay,
+    };
+    Ok(surface.part(positions, exec)?)
+}
+
+/// Moves surfaces apart in a frame that goes on from the one before, of which `state` knows.
+///
+/// # Errors
+/// [`Error::Cancelled`].
+pub(super) fn part_moving_surfaces(
+    derived: &DerivedStructures,
+    handles: &HandleSystem,
+    contact: Contact,
+    state: &mut SolveState,
+    positions: &mut [DVec3],
+    exec: &Exec<'_>,
+) -> Result<(), Error> {
+    if contact == Contact::Ignored {
+        state.contact().forget();
+        return Ok(());
+    }
+    exec.progress.begin_pass("contact");
+    let surface = MovingSurface {
+        mesh: &derived.mesh,
+        held: handles.given(),
+    };
+    Ok(state.contact().part(&surface, positions, exec)?)
+}
 
 impl Deformer {
     /// What a user should know of `poses` and of their shape (one position per render vertex), solved with `settings`: as

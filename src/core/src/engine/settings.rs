@@ -109,11 +109,11 @@ pub struct SolveSettings {
     /// Whether a drag also answers how space around render vertices has turned and stretched. What rides along then goes where it
     /// goes in single precision, and faster. A commit has no use for it.
     pub gradients: bool,
-    /// What a commit does about surfaces that the pose pushes through each other.
+    /// What a commit or a frame of a drag does about surfaces that the pose pushes through each other.
     pub contact: Contact,
 }
 
-/// What a commit does about surfaces that the pose pushes through each other.
+/// What a commit or a frame of a drag does about surfaces that the pose pushes through each other.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Contact {
     /// They cross.
@@ -121,7 +121,7 @@ pub enum Contact {
     Ignored,
     /// They are moved apart as far as handles let them, so that fewer triangles cross, or the shape stays as it is.
     Avoided {
-        /// What surfaces that have crossed keep from each other, model units; less where they were nearer in the rest pose. `None`: 0.1
+        /// In a commit, what surfaces that have crossed keep from each other, model units; less where they were nearer in the rest pose. `None`: 0.1
         /// of the median edge around where they cross.
         clearance: Option<f64>,
     },

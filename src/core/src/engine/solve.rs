@@ -9,6 +9,7 @@ use crate::deform::{
 };
 use crate::engine::Deformer;
 use crate::engine::buckles::BuckleWatch;
+use crate::engine::contact::{part_moving_surfaces, part_surfaces};
 use crate::engine::deformer::CommittedShape;
 use crate::engine::derived_structures::DerivedStructures;
 use crate::engine::edit_command::{Edit, EditCommand, EditOutcome, EditedShape};
@@ -187,6 +188,15 @@ impl Deformer {
         derived
             .thin
             .settle(body, handle_system, &solved.frames, &mut solved.positions, exec.pool);
+        match (mode, settings.contact) {
+            (SolveMode::Drag, contact) => {
+                part_moving_surfaces(derived, handle_system, contact, state, &mut solved.positions, exec)?;
+            }
+            (SolveMode::Anew, Contact::Avoided { clearance }) => {
+                part_surfaces(derived, handle_system, clearance, &mut solved.positions, exec)?;
+            }
+            _ => {}
+        }
         if mode == SolveMode::Commit && settings.method != Method::SpatialRbf {
             let watch = BuckleWatch::of(derived, handle_system, request, exec);
             solved = watch.finished_commit(solved, settings, state)?;

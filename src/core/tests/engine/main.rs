@@ -13,6 +13,7 @@ mod guides;
 mod hard_surfaces;
 mod layers;
 mod lines;
+mod moving_contact;
 mod off_file;
 mod parts;
 mod passengers;

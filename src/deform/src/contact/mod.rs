@@ -9,11 +9,14 @@
 //! edge beside an edge, by the clearance, along the bisector of the two sides' normals, whose outsides say where each of them belongs.
 //! Places so crumpled that faces cross others of the same direction are flattened instead. What that leaves has its curves shortened
 //! again.
+//!
+//! Frames of a drag go on from the one before by a few of the steps that shorten curves ([`moving`]).
 
 mod contour;
 mod displace;
 mod find;
 mod layers;
+mod moving;
 mod normals;
 mod outfit;
 mod region;
@@ -26,11 +29,12 @@ use find::{ContactFinder, Knowledge, PartingStyle};
 use glam::DVec3;
 pub use layers::LayerSides;
 use layers::MisplacedVertex;
+pub use moving::{ContactMemory, MovingSurface};
 use normals::smooth_normals;
 pub use outfit::{FittedOutfit, OutfitFaults, OutfitOnBody};
 use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
-use pliant_mesh::{Mesh, is_crossing, visit_crossings_within};
+use pliant_mesh::{Lists, Mesh, is_crossing, visit_crossings_within};
 use region::ContactRegion;
 use std::sync::{Mutex, PoisonError};
 pub use unintersect::{CrossingSurface, UncrossedSurface};
@@ -312,7 +316,8 @@ impl<'a> Parting<'a> {
             RestCrossings::Stay => RINGS,
             RestCrossings::Part(rings) => rings,
         };
-        let region = ContactRegion::around(mesh, &surface.held[..base.len()], &faults.places(mesh), rings);
+        let held = &surface.held[..base.len()];
+        let region = ContactRegion::around(mesh, &faces_of_vertices(mesh), held, &faults.places(mesh), rings);
         let before = Parted {
             faults: faults.count(),
             strain: surface.strain(base),
@@ -454,6 +459,16 @@ fn displaced(base: &[DVec3], region: &ContactRegion, moved: &[DVec3]) -> Vec<DVe
         at[*v as usize] += *by;
     }
     at
+}
+
+/// The faces of each vertex.
+fn faces_of_vertices(mesh: &Mesh) -> Lists {
+    let corners = || {
+        (0u32..)
+            .zip(&mesh.triangles)
+            .flat_map(|(t, corners)| corners.map(|v| (v, t)))
+    };
+    Lists::gather(mesh.positions.len(), corners)
 }
 
 /// By vertex, how far it lies beyond its neighbours along its normal in the rest pose, summed over them.

@@ -1,7 +1,7 @@
 //! The free part of a surface around triangles that cross, with the neighbours of each of its vertices.
 
 use glam::DVec3;
-use pliant_mesh::{Mesh, NONE, sorted_set};
+use pliant_mesh::{Lists, Mesh, NONE, sorted_set};
 
 /// The region. Its first vertices are free; after them come those around, which stay.
 pub(super) struct ContactRegion {
@@ -15,55 +15,47 @@ pub(super) struct ContactRegion {
     pub neighbours: Vec<Vec<u32>>,
     /// How many neighbours each node has on the whole surface.
     pub degrees: Vec<f64>,
-    /// By face: whether one of its corners is free in the region.
+    /// Faces with a corner that is free in the region, ascending.
+    pub faces: Vec<u32>,
+    /// By face: whether it is one of them.
     pub is_near: Vec<bool>,
     /// The median edge, model units.
     pub edge: f64,
 }
 
 impl ContactRegion {
-    /// The region around pairs of faces, so many rings of faces far. `held` says which vertices stay.
-    pub fn around(mesh: &Mesh, held: &[bool], crossings: &[[u32; 2]], rings: usize) -> Self {
+    /// The region of so many `rings` of faces around pairs of faces. `held` says which vertices stay, `faces_of` which faces each has.
+    pub fn around(mesh: &Mesh, faces_of: &Lists, held: &[bool], crossings: &[[u32; 2]], rings: usize) -> Self {
         let vertices = mesh.positions.len();
+        let corners_of = |faces: &[u32]| sorted_set(faces.iter().flat_map(|t| mesh.triangles[*t as usize]));
+        let faces_around = |some: &[u32]| sorted_set(some.iter().flat_map(|v| faces_of.of(*v).iter().copied()));
         let mut is_inside = vec![false; vertices];
-        for t in crossings.as_flattened() {
-            mesh.triangles[*t as usize]
-                .iter()
-                .for_each(|v| is_inside[*v as usize] = true);
+        let mut front = corners_of(crossings.as_flattened());
+        let mut inside = Vec::new();
+        for ring in 0..=rings {
+            front.iter().for_each(|v| is_inside[*v as usize] = true);
+            inside.extend_from_slice(&front);
+            // What is held is a border: the region does not go on behind it.
+            front.retain(|v| ring == 0 || !held[*v as usize]);
+            front = corners_of(&faces_around(&front));
+            front.retain(|v| !is_inside[*v as usize]);
         }
-        // What is held is a border: the region does not go on behind it.
-        let grows = |v: u32, ring: usize, is_inside: &[bool]| is_inside[v as usize] && (ring == 0 || !held[v as usize]);
-        for ring in 0..rings {
-            let met = mesh
-                .triangles
-                .iter()
-                .filter(|t| t.iter().any(|v| grows(*v, ring, &is_inside)));
-            let met: Vec<u32> = met.flatten().copied().collect();
-            met.iter().for_each(|v| is_inside[*v as usize] = true);
-        }
-        let all = 0..vertices as u32;
-        let mut nodes: Vec<u32> = all.filter(|&v| is_inside[v as usize] && !held[v as usize]).collect();
-        let free = nodes.len();
+        inside.sort_unstable();
+        inside.retain(|v| !held[*v as usize]);
+        let (free, mut nodes) = (inside.len(), inside);
         let mut local = vec![NONE; vertices];
         (0u32..).zip(&nodes).for_each(|(k, v)| local[*v as usize] = k);
-        let is_near: Vec<bool> = (mesh.triangles.iter())
-            .map(|t| t.iter().any(|v| local[*v as usize] != NONE))
-            .collect();
-        let near = || {
-            (mesh.triangles.iter().zip(&is_near))
-                .filter(|(_, near)| **near)
-                .map(|(t, _)| t)
-        };
-        let rim = sorted_set(near().flatten().copied().filter(|v| local[*v as usize] == NONE));
+        let faces = faces_around(&nodes);
+        let mut is_near = vec![false; mesh.triangles.len()];
+        faces.iter().for_each(|t| is_near[*t as usize] = true);
+        let mut rim = corners_of(&faces);
+        rim.retain(|v| local[*v as usize] == NONE);
         (free as u32..).zip(&rim).for_each(|(k, v)| local[*v as usize] = k);
         nodes.extend(rim);
 
         let mut around: Vec<Vec<u32>> = vec![Vec::new(); nodes.len()];
-        for t in mesh
-            .triangles
-            .iter()
-            .filter(|t| t.iter().any(|v| local[*v as usize] != NONE))
-        {
+        for t in faces_around(&nodes) {
+            let t = mesh.triangles[t as usize];
             for (k, v) in t.iter().enumerate() {
                 if let Some(own) = around.get_mut(local[*v as usize] as usize) {
                     own.extend([t[(k + 1) % 3], t[(k + 2) % 3]]);
@@ -79,8 +71,11 @@ impl ContactRegion {
                 .collect()
         };
         let neighbours = around.into_iter().map(inside).collect();
-        let length = |t: &[u32; 3]| mesh.positions[t[0] as usize].distance(mesh.positions[t[1] as usize]);
-        let mut lengths: Vec<f64> = near().map(length).collect();
+        let length = |t: &u32| {
+            let [a, b, _] = mesh.triangles[*t as usize].map(|v| mesh.positions[v as usize]);
+            a.distance(b)
+        };
+        let mut lengths: Vec<f64> = faces.iter().map(length).collect();
         lengths.sort_unstable_by(f64::total_cmp);
         Self {
             edge: lengths.get(lengths.len() / 2).copied().unwrap_or(0.0),
@@ -89,6 +84,7 @@ impl ContactRegion {
             local,
             neighbours,
             degrees,
+            faces,
             is_near,
         }
     }

@@ -6,11 +6,11 @@
 
 use super::layers::LayerSides;
 use super::region::ContactRegion;
-use super::{ContactSurface, MOST_PARTED, RINGS, RestCrossings};
+use super::{ContactSurface, MOST_PARTED, RINGS, RestCrossings, faces_of_vertices};
 use glam::DVec3;
 use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
-use pliant_mesh::{Components, Mesh, self_intersections};
+use pliant_mesh::{Components, Lists, Mesh, self_intersections};
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
@@ -122,12 +122,13 @@ impl CrossingSurface<'_> {
         let Some(crossings) = surface.crossings(&best.positions, None, exec)? else {
             return Ok(());
         };
-        let places = places_of(self.mesh, self.fixed, &crossings);
+        let faces_of = faces_of_vertices(self.mesh);
+        let places = places_of(self.mesh, &faces_of, self.fixed, &crossings);
         if places.len() < 2 {
             return Ok(());
         }
         for place in places.iter().take(MOST_PLACES) {
-            let region = ContactRegion::around(self.mesh, self.fixed, place, RINGS);
+            let region = ContactRegion::around(self.mesh, &faces_of, self.fixed, place, RINGS);
             let held: Vec<bool> = (region.local.iter()).map(|k| (*k as usize) >= region.free).collect();
             self.try_with(
                 &ContactSurface {
@@ -143,8 +144,8 @@ impl CrossingSurface<'_> {
 }
 
 /// Pairs that cross, those whose regions touch together; the largest such place first.
-fn places_of(mesh: &Mesh, fixed: &[bool], crossings: &[[u32; 2]]) -> Vec<Vec<[u32; 2]>> {
-    let region = ContactRegion::around(mesh, fixed, crossings, RINGS);
+fn places_of(mesh: &Mesh, faces_of: &Lists, fixed: &[bool], crossings: &[[u32; 2]]) -> Vec<Vec<[u32; 2]>> {
+    let region = ContactRegion::around(mesh, faces_of, fixed, crossings, RINGS);
     let near = (0..mesh.triangles.len()).filter(|t| region.is_near[*t]);
     let near: Vec<[u32; 3]> = near.map(|t| mesh.triangles[t]).collect();
     // Both surfaces of a pair are one place.

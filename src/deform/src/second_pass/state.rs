@@ -4,6 +4,7 @@
 
 use crate::body::DeformableBody;
 use crate::border_frames::BorderFrames;
+use crate::contact::ContactMemory;
 use crate::first_pass::blend::{LocalFrame, LocalRotation};
 use crate::handles::ownership::UNHELD;
 use crate::handles::system::HandleSystem;
@@ -35,6 +36,8 @@ pub struct SolveState {
     pub(crate) spare: (Vec<DVec3>, Vec<LocalFrame>),
     /// What was learnt of turns that are not given.
     pub(crate) turning: TurnSteps,
+    /// What was learnt of surfaces that cross.
+    pub(crate) contact: ContactMemory,
 }
 
 impl SolveState {
@@ -49,6 +52,7 @@ impl SolveState {
             + self.workspace.byte_size()
             + self.rows.byte_size()
             + self.turning.byte_size()
+            + self.contact.byte_size()
     }
 
     /// Where there is no last solution the rest shape is one, with all handles in the rest pose.
@@ -109,6 +113,11 @@ impl SolveState {
         self.extra = turns;
     }
 
+    /// What frames leave to each other about surfaces that cross.
+    pub fn contact(&mut self) -> &mut ContactMemory {
+        &mut self.contact
+    }
+
     /// Whether nothing was solved with it.
     pub fn is_empty(&self) -> bool {
         self.byte_size() == 0
@@ -119,6 +128,7 @@ impl SolveState {
         self.forget();
         self.transforms.clear();
         self.turning.clear();
+        self.contact.forget();
         self.rhs.clear();
     }
 

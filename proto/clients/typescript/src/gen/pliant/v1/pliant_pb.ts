@@ -3062,7 +3062,7 @@ export type Options = Message<"pliant.v1.Options"> & {
   fit: Options_Fit;
 
   /**
-   * Contact in commits and jobs. Default IGNORE.
+   * Contact in commits, jobs and frames of a drag. Default IGNORE.
    *
    * @generated from field: pliant.v1.Options.Contact contact = 13;
    */
@@ -3202,7 +3202,7 @@ export const Options_FitSchema: GenEnum<Options_Fit> = /*@__PURE__*/
   enumDesc(file_pliant_v1_pliant, 32, 3);
 
 /**
- * What a commit does about surfaces that the pose pushes through each other.
+ * What commits and frames of a drag do about surfaces that the pose pushes through each other.
  *
  * @generated from enum pliant.v1.Options.Contact
  */
@@ -3216,7 +3216,7 @@ export enum Options_Contact {
 
   /**
    * They are moved apart as far as handles let them. The shape never has more new crossing pairs of triangles than without; what is
-   * left is in the warning "contact-left". Frames of a drag are not looked at.
+   * left is in the warning "contact-left". Frames of a drag keep no distance.
    *
    * @generated from enum value: AVOID = 1;
    */
