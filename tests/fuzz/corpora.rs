@@ -345,6 +345,7 @@ fn model_record() -> Vec<u8> {
         every_cut_ends_lines: true,
         riders_keep_sides: true,
         follows_edits: true,
+        local_fields: true,
         label: "a box".into(),
         format: Format::OBJ,
         graph_bytes: Some(1 << 30),

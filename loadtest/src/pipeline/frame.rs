@@ -1,5 +1,6 @@
 //! `loadtest frame`: one frame of a drag followed through, pass by pass, beside what the machine could do at best.
 
+use super::points::PointScene;
 use super::{MeasuredModel, PassClock, encode_positions, open_for_job, seconds_of, set_job_handles};
 use crate::failure::LoadtestFailure;
 use crate::measurements::{Measurements, median, time_once};
@@ -47,6 +48,9 @@ pub(crate) struct FrameArgs {
     /// Largest error to reach, as a fraction of the diagonal
     #[arg(long, value_name = "ERROR")]
     max_error: Option<f64>,
+    /// Point handles spread over the model that all move, in place of its two ends
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    handles: Option<u32>,
     /// Ask for gradients: what rides along turns and stretches too
     #[arg(long)]
     gradients: bool,
@@ -65,6 +69,12 @@ struct FrameRun {
     /// Neighbours of all nodes together.
     neighbours: usize,
     held_bytes: u64,
+    /// Handles, seconds of setting them, and bytes that are held with them.
+    handles: usize,
+    set_handles: f64,
+    handle_bytes: u64,
+    /// Seconds of the first frame.
+    first: f64,
     cycles: f64,
     /// Seconds of each pass, of encoding, and of whole frames; sorted.
     passes: [Vec<f64>; PASSES.len()],
@@ -79,8 +89,12 @@ struct FrameRun {
 pub(crate) fn run_frame(args: &FrameArgs) -> Result<(), LoadtestFailure> {
     let pool = args.model.pool()?;
     let files = args.model.files()?;
-    let scene = args.model.scene()?;
-    let deformer = open_for_job(files, &scene.job(None), &Exec::new(&pool, &Silent)).map_err(LoadtestFailure::usage)?;
+    let ends = args.model.scene()?;
+    let deformer = open_for_job(files, &ends.job(None), &Exec::new(&pool, &Silent)).map_err(LoadtestFailure::usage)?;
+    let scene = match args.handles {
+        None => FrameScene::Ends(ends),
+        Some(count) => FrameScene::Points(PointScene::spread(deformer.rest(), count as usize)),
+    };
     let run = drag_frames(deformer, &scene, args, &pool).map_err(LoadtestFailure::usage)?;
     if args.json {
         println!("{}", run.measurements(&args.model.path, &pool).to_json());
@@ -90,10 +104,34 @@ pub(crate) fn run_frame(args: &FrameArgs) -> Result<(), LoadtestFailure> {
     Ok(())
 }
 
-/// Swings one end of the model and measures every frame.
+/// What moves.
+enum FrameScene {
+    /// One end of the model.
+    Ends(DragScene),
+    /// Points all over it.
+    Points(PointScene),
+}
+
+impl FrameScene {
+    fn job(&self) -> pb::Job {
+        match self {
+            Self::Ends(scene) => scene.job(None),
+            Self::Points(scene) => scene.job(),
+        }
+    }
+
+    fn pose_number(&self, seq: u64) -> pb::Pose {
+        match self {
+            Self::Ends(scene) => scene.pose_number(seq),
+            Self::Points(scene) => scene.pose_number(seq),
+        }
+    }
+}
+
+/// Swings one end of the model, or all points, and measures every frame.
 fn drag_frames(
     mut deformer: Deformer,
-    scene: &DragScene,
+    scene: &FrameScene,
     args: &FrameArgs,
     pool: &Pool,
 ) -> Result<FrameRun, wire::Error> {
@@ -107,8 +145,14 @@ fn drag_frames(
         ..DeformOptions::check(&options, "options", u32::MAX)?.solve
     };
     let clock = PassClock::new();
-    let mut poses = set_job_handles(&mut deformer, &scene.job(None), &Exec::new(pool, &Silent))?;
+    let (job, without) = (scene.job(), deformer.byte_size());
+    let exec = Exec::new(pool, &Silent);
+    let (poses, set_handles) = time_once(|| set_job_handles(&mut deformer, &job, &exec));
+    let mut poses = poses?;
     let mut run = FrameRun {
+        handles: job.handles.len(),
+        set_handles,
+        handle_bytes: deformer.byte_size() - without,
         vertices: deformer.rest().len(),
         nodes: deformer.body().nodes(),
         surface: deformer.body().graph.surface,
@@ -125,6 +169,9 @@ fn drag_frames(
         let is_ahead = deformer.is_worth_settling();
         let (settled, settle) = time_once(|| deformer.settle(&Exec::new(pool, &Silent)));
         settled?;
+        if seq == 1 {
+            run.first = solve;
+        }
         if seq > WARM_UP {
             run.cycles += f64::from(solved.stats.cycles) / args.frames as f64;
             (run.passes.iter_mut().zip(&PASSES)).for_each(|(all, pass)| all.push(seconds_of(&passes, pass.0)));
@@ -174,6 +221,10 @@ impl FrameRun {
         m.set_value("threads", pool.threads());
         m.set_value("vertices", self.vertices);
         m.set_value("nodes", self.nodes);
+        m.set_value("handles", self.handles);
+        m.set_number("set_handles_s", self.set_handles);
+        m.set_number("handle_bytes_a_node", self.handle_bytes as f64 / self.nodes as f64);
+        m.set_number("first_s", self.first);
         m.set_number("cycles", self.cycles);
         for ((pass, _), seconds) in PASSES.iter().zip(&self.passes) {
             m.set_number(&format!("{pass}_s"), median(seconds));
@@ -241,7 +292,11 @@ impl FrameRun {
         text += &row("encode", &self.encode, "the frame's bytes, 32-bit positions");
         text += &row("frame", &self.frames, "all of it");
         text + &format!(
-            "{:.2} cycles a frame, 99th percentile {:.2} ms, {:.0} bytes held a node\n{:.2} times a frame {:.2} ms of working ahead once it is out\nmemory read in order: {:.1} GB/s; the first number of \"bytes a node\" is what it could have read in a pass's time, the second what the pass has to move\n",
+            "{} handles set in {:.1} ms, {:.0} bytes a node, first frame {:.1} ms\n{:.2} cycles a frame, 99th percentile {:.2} ms, {:.0} bytes held a node\n{:.2} times a frame {:.2} ms of working ahead once it is out\nmemory read in order: {:.1} GB/s; the first number of \"bytes a node\" is what it could have read in a pass's time, the second what the pass has to move\n",
+            self.handles,
+            self.set_handles * 1e3,
+            self.handle_bytes as f64 / self.nodes as f64,
+            self.first * 1e3,
             self.cycles,
             p99(&self.frames) * 1e3,
             self.held_bytes as f64 / self.nodes as f64,

@@ -3,6 +3,7 @@
 pub(crate) mod edits;
 pub(crate) mod first_frame;
 pub(crate) mod frame;
+mod points;
 pub(crate) mod wire;
 
 use crate::failure::LoadtestFailure;

@@ -44,6 +44,8 @@ pub struct BodyOptions {
     pub ties: Option<TieOptions>,
     /// Whether a mesh [far from the origin](BoundingBox::is_far) gets the graph that it has near the origin.
     pub near_origin: bool,
+    /// Whether fields of more than [`MOST_WHOLE_FIELDS`](crate::MOST_WHOLE_FIELDS) handles are solved each around its handle.
+    pub local_fields: bool,
 }
 
 /// The graph of a mesh, its hierarchy, and the rest pose in the coordinates that solving uses.
@@ -65,6 +67,8 @@ pub struct DeformableBody {
     pub diagonal: f64,
     /// Why there are no interior nodes although mode [`VolumeMode::Auto`] would have them: there would be too many, or finding them would take too long.
     pub too_large: Option<String>,
+    /// See [`BodyOptions::local_fields`].
+    pub local_fields: bool,
 }
 
 impl DeformableBody {
@@ -140,6 +144,7 @@ impl DeformableBody {
             unit,
             diagonal,
             too_large,
+            local_fields: options.local_fields,
         })
     }
 
@@ -295,6 +300,7 @@ impl DeformableBody {
         Ok(Some(Self {
             diagonal: self.diagonal_of(&bounds),
             too_large: self.too_large.clone(),
+            local_fields: self.local_fields,
             hierarchy,
             single: Default::default(),
             origin: self.origin,

@@ -25,6 +25,12 @@ pub enum Error {
     /// The solver failed.
     #[error("solver: {0}")]
     Solver(String),
+    /// The fields of the handles need more memory than there is.
+    #[error("the fields of the handles need {bytes} bytes or more, more than there is room for; use fewer handles")]
+    TooLarge {
+        /// Bytes beside the body and its handles.
+        bytes: u64,
+    },
     /// A choice that this version does not have.
     #[error("{0}")]
     Unsupported(String),

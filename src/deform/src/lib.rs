@@ -49,6 +49,11 @@
 //! | `body` | graph, hierarchy and rest shape of a mesh, and how they follow an edit |
 //! | `handles` | which handle holds which node, loose parts, how nodes are carried along and placed |
 //! | `fields` | bounded harmonic fields of the handles |
+//! | `field_solver` | solves for them |
+//! | `field_terms` | what poses give to handles, with their fields |
+//! | `local_fields` | those of many handles, each around its own |
+//! | `shares` | by node, the handles that have a say there |
+//! | `joints` | where handles turn about by default |
 //! | `rotation` | transforms of handles, fits and blends of rotations |
 //! | `first_pass` | the local frame of each node |
 //! | `pose` | what a pose is to come to: [`PoseRequest`], [`Quality`], [`SolvedNodes`] |
@@ -67,15 +72,20 @@ mod body;
 mod border_frames;
 mod contact;
 mod error;
+mod field_solver;
+mod field_terms;
 mod fields;
 mod first_pass;
 mod fold_suspects;
 mod folds;
 mod guides;
 mod handles;
+mod joints;
+mod local_fields;
 mod pose;
 mod rotation;
 mod second_pass;
+mod shares;
 mod solve;
 mod surface_faults;
 mod surface_transfer;
@@ -88,7 +98,7 @@ pub use contact::{
     OutfitOnBody, RestCrossings, UncrossedSurface,
 };
 pub use error::Error;
-pub use fields::HarmonicFields;
+pub use fields::{HarmonicFields, MOST_WHOLE_FIELDS};
 pub use first_pass::{LocalFrame, LocalRotation, PoseBlend, frames, pack_rotation};
 pub use fold_suspects::RestFaces;
 pub use folds::{FaceChanges, FaceSurroundings, unfold_faces, unfold_suspects, unfold_vertices};

@@ -102,6 +102,8 @@ struct SwingTwist {
 #[derive(Debug, Clone, Default)]
 pub(crate) struct RotationBlending {
     parts: Vec<SwingTwist>,
+    /// The swings as quaternions; empty where the Karcher mean is not looked for.
+    swings: Vec<DQuat>,
     /// Whether all of them turn about one axis.
     coaxial: bool,
     /// How much of each step towards the Karcher mean is taken, 0 to 1.
@@ -118,6 +120,7 @@ impl RotationBlending {
             });
             return Self {
                 parts: parts.collect(),
+                swings: Vec::new(),
                 coaxial: true,
                 karcher: 0.0,
             };
@@ -132,10 +135,13 @@ impl RotationBlending {
                 }
             })
             .collect();
-        let swings: Vec<DVec3> = parts.iter().map(|p| p.swing).collect();
+        let swings: Vec<DQuat> = parts.iter().map(|p| exp_rotation(p.swing)).collect();
+        let vectors: Vec<DVec3> = parts.iter().map(|p| p.swing).collect();
+        let karcher = 1.0 - fade(widest(&vectors, &swings), APART);
         Self {
             coaxial: false,
-            karcher: 1.0 - fade(widest(&swings), APART),
+            swings: if karcher > 0.0 { swings } else { Vec::new() },
+            karcher,
             parts,
         }
     }
@@ -172,7 +178,7 @@ impl RotationBlending {
             let step = log_rotation(back) * base_weight
                 + weights
                     .iter()
-                    .map(|&(k, u)| log_rotation(back * exp_rotation(self.parts[k].swing)) * u)
+                    .map(|&(k, u)| log_rotation(back * self.swings[k]) * u)
                     .sum::<DVec3>();
             mean = (mean * exp_rotation(step * self.karcher)).normalize();
             if step.length_squared() < 1e-20 {
@@ -209,14 +215,30 @@ pub fn fade(angle: f64, [from, to]: [f64; 2]) -> f64 {
     t * t * (3.0 - 2.0 * t)
 }
 
-/// The largest angle between any two of the rotations and the identity.
-fn widest(vectors: &[DVec3]) -> f64 {
-    let mut widest = 0.0f64;
-    for (i, a) in vectors.iter().enumerate() {
-        let from_a = exp_rotation(*a).inverse();
-        widest = widest.max(a.length());
-        for b in &vectors[..i] {
-            widest = widest.max(log_rotation(from_a * exp_rotation(*b)).length());
+/// So many rotations have all their differences taken one by one.
+const MOST_DIFFERENCES: usize = 64;
+
+/// The largest angle between any two of the rotations and the identity, or a bound of it where that lies below [`APART`]; `turns`
+/// are the rotations as quaternions.
+fn widest(vectors: &[DVec3], turns: &[DQuat]) -> f64 {
+    let mut lengths: Vec<f64> = vectors.iter().map(|v| v.length()).collect();
+    lengths.sort_by(|a, b| b.total_cmp(a));
+    let longest = lengths.first().copied().unwrap_or(0.0);
+    // No two are further apart than both are from the identity together.
+    let bound = longest + lengths.get(1).copied().unwrap_or(0.0);
+    if bound < APART[0] * (1.0 - 1e-9) {
+        return bound;
+    }
+    if turns.len() > MOST_DIFFERENCES {
+        let pairs = turns.iter().enumerate();
+        let nearest = pairs.map(|(i, a)| turns[..i].iter().map(|b| a.dot(*b).abs()).fold(1.0, f64::min));
+        return longest.max(2.0 * libm::acos(nearest.fold(1.0, f64::min)));
+    }
+    let mut widest = longest;
+    for (i, a) in turns.iter().enumerate() {
+        let from_a = a.inverse();
+        for b in &turns[..i] {
+            widest = widest.max(log_rotation(from_a * *b).length());
         }
     }
     widest

@@ -4,47 +4,77 @@ use crate::fields::HarmonicFields;
 use crate::first_pass::blend::LocalFrame;
 use crate::rotation::Transform;
 use pliant_exec::pool::Pool;
+use rayon::prelude::*;
 
 /// Values of a field at which there is a scale, evenly from 0 to 1: sections of what bends.
 pub(crate) const SECTIONS: usize = 33;
 
-/// Holds that move alike, and the sum of their fields.
-#[derive(Debug, Clone)]
-pub(crate) struct AlikeHolds(Vec<usize>);
+/// Holds in groups that move alike.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct AlikeHolds {
+    groups: Vec<Vec<usize>>,
+    /// By hold: its group.
+    group_of: Vec<usize>,
+}
 
 impl AlikeHolds {
     /// Groups all holds; those without a transform do not move.
-    pub fn groups(transforms: &[Transform], holds: usize) -> Vec<Self> {
+    pub fn groups(transforms: &[Transform], holds: usize) -> Self {
         let motion = |hold: usize| transforms.get(hold).filter(|t| !t.is_identity());
-        let mut groups: Vec<Self> = Vec::new();
+        let mut all = Self::default();
         for hold in 0..holds {
-            match groups.iter_mut().find(|group| motion(group.0[0]) == motion(hold)) {
-                Some(group) => group.0.push(hold),
-                None => groups.push(Self(vec![hold])),
-            }
+            let alike = |group: &Vec<usize>| motion(group[0]) == motion(hold);
+            let group = all.groups.iter().position(alike).unwrap_or(all.groups.len());
+            all.groups.resize(all.groups.len().max(group + 1), Vec::new());
+            all.groups[group].push(hold);
+            all.group_of.push(group);
         }
-        groups
+        all
     }
 
-    /// The sum of the fields at a node, 0 to 1.
-    pub fn share(&self, fields: &HarmonicFields, node: usize) -> f32 {
-        let of_hold = |hold: &usize| fields.of(*hold).get(node).copied().unwrap_or(0.0);
-        self.0.iter().map(of_hold).sum::<f32>().clamp(0.0, 1.0)
+    /// How many groups there are.
+    pub fn count(&self) -> usize {
+        self.groups.len()
+    }
+
+    /// Calls `each` with the groups that may have a say at a node, rising, and the sum of their fields there, 0 to 1; `scratch` is
+    /// memory.
+    pub fn each_share(
+        &self,
+        fields: &HarmonicFields,
+        node: usize,
+        scratch: &mut Vec<(usize, f32)>,
+        mut each: impl FnMut(usize, f32),
+    ) {
+        if fields.sparse().is_none() {
+            for (group, holds) in self.groups.iter().enumerate() {
+                let sum = holds.iter().map(|hold| fields.at(*hold, node)).sum::<f32>();
+                each(group, sum.clamp(0.0, 1.0));
+            }
+            return;
+        }
+        scratch.clear();
+        fields.each_at(node, |hold, u| scratch.push((self.group_of[hold], u)));
+        scratch.sort_by_key(|s| s.0);
+        for group in scratch.chunk_by(|a, b| a.0 == b.0) {
+            let sum = group.iter().map(|s| s.1).sum::<f32>();
+            each(group[0].0, sum.clamp(0.0, 1.0));
+        }
     }
 }
 
 /// The logarithms of the scales at the sections of the fields of holds that move alike; empty where nothing is scaled.
 #[derive(Debug, Clone, Default)]
 pub struct VolumeScales {
-    groups: Vec<(AlikeHolds, [f64; SECTIONS])>,
+    holds: AlikeHolds,
+    /// By group.
+    scales: Vec<[f64; SECTIONS]>,
 }
 
 impl VolumeScales {
     /// With these of each group.
-    pub(crate) fn new(groups: Vec<AlikeHolds>, scales: Vec<[f64; SECTIONS]>) -> Self {
-        Self {
-            groups: groups.into_iter().zip(scales).collect(),
-        }
+    pub(crate) fn new(holds: AlikeHolds, scales: Vec<[f64; SECTIONS]>) -> Self {
+        Self { holds, scales }
     }
 
     /// Scales frames.
@@ -55,33 +85,39 @@ impl VolumeScales {
         pool: &Pool,
         is_open: impl Fn(usize) -> bool + Sync,
     ) {
-        if self.groups.is_empty() {
+        if self.scales.is_empty() {
             return;
         }
-        let scale = |node: usize| {
-            let of_group = |(holds, scales): &(AlikeHolds, [f64; SECTIONS])| {
-                let u = holds.share(fields, node);
-                let (below, part) = section(u);
-                f64::from(u) * (scales[below] * (1.0 - part) + scales[below + 1] * part)
-            };
-            libm::exp(self.groups.iter().map(of_group).sum()) as f32
+        let scale = |node: usize, scratch: &mut Vec<(usize, f32)>| {
+            let mut sum = 0.0;
+            self.holds.each_share(fields, node, scratch, |group, u| {
+                let (scales, (below, part)) = (&self.scales[group], section(u));
+                sum += f64::from(u) * (scales[below] * (1.0 - part) + scales[below + 1] * part);
+            });
+            libm::exp(sum) as f32
         };
-        let scales = pool.map(frames.len(), 1024, |node| if is_open(node) { scale(node) } else { 1.0 });
-        frames
-            .iter_mut()
-            .zip(scales)
-            .for_each(|(frame, scale)| frame.iter_mut().for_each(|v| *v *= scale));
+        pool.install(|| {
+            let frames = frames.par_iter_mut().with_min_len(1024).enumerate();
+            frames.for_each_init(Vec::new, |scratch, (node, frame)| {
+                if is_open(node) {
+                    let scale = scale(node, scratch);
+                    frame.iter_mut().for_each(|v| *v *= scale);
+                }
+            });
+        });
     }
 
     /// Whether nothing is scaled.
     pub fn is_empty(&self) -> bool {
-        self.groups.is_empty()
+        self.scales.is_empty()
     }
 
     /// Bytes held on the heap.
     pub fn byte_size(&self) -> usize {
-        let holds: usize = self.groups.iter().map(|(holds, _)| holds.0.capacity()).sum();
-        holds * size_of::<usize>() + self.groups.capacity() * size_of::<(AlikeHolds, [f64; SECTIONS])>()
+        let holds: usize = self.holds.groups.iter().map(Vec::capacity).sum();
+        (holds + self.holds.group_of.capacity()) * size_of::<usize>()
+            + self.holds.groups.capacity() * size_of::<Vec<usize>>()
+            + self.scales.capacity() * size_of::<[f64; SECTIONS]>()
     }
 }
 

@@ -194,6 +194,7 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
             apart: false,
             ties,
             near_origin: true,
+            local_fields: true,
         },
         passengers: passengers(&create.passengers)?,
         following: following(create)?,

@@ -68,10 +68,7 @@ impl Deformer {
     /// A shape wrapped onto another model; what rides along follows.
     fn wrapped_shape(&self, command: &WrapCommand, shape: &ModelShape, exec: &Exec<'_>) -> Result<ShapeToEdit, Error> {
         // The deformer stays until the edit is whole.
-        let beside = HeldBeside {
-            held: self.byte_size(),
-            watcher: exec.progress,
-        };
+        let beside = HeldBeside::of(self.byte_size(), exec.progress);
         let exec = &Exec::new(exec.pool, &beside);
         let limits = self.room_limits();
         let (_, target) = read_other(&command.target, EditKind::Wrap, &limits, exec)?;

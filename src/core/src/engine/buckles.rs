@@ -11,7 +11,7 @@ use super::derived_structures::DerivedStructures;
 use super::error::Error;
 use super::handle::{Falloff, FalloffCurve};
 use super::resolved_handles::fading_weights;
-use super::settings::{Contact, SolveSettings};
+use super::settings::SolveSettings;
 use crate::deform::{
     FaceSurroundings, FreeSurface, HandleSystem, LocalRotation, PoseRequest, Quality, RestFaces, SolveState,
     SolvedNodes, SurfaceFaults, TurnChange, TurnChangeKind, VolumeScales, unfold_suspects,
@@ -111,9 +111,13 @@ impl<'a> BuckleWatch<'a> {
         if settings.watches_fits() {
             solved = self.unbuckled(solved, state)?;
         }
-        if let Contact::Avoided { clearance } = settings.contact {
-            part_surfaces(self.derived, self.handles, clearance, &mut solved.positions, self.exec)?;
-        }
+        part_surfaces(
+            self.derived,
+            self.handles,
+            settings.contact,
+            &mut solved.positions,
+            self.exec,
+        )?;
         Ok(solved)
     }
 

@@ -85,10 +85,7 @@ impl Deformer {
         passenger: CarriedModel,
         exec: &Exec<'_>,
     ) -> Result<WrittenFiles, Error> {
-        let beside = HeldBeside {
-            held: self.byte_size(),
-            watcher: exec.progress,
-        };
+        let beside = HeldBeside::of(self.byte_size(), exec.progress);
         let limits = self.room_limits().of_reading();
         let rule = self.options.following.large_splats;
         let mut file = RidingFile::read(passenger, rule, &limits, &beside)?;

@@ -23,10 +23,13 @@ const MOST_NAMED: usize = 8;
 pub(super) fn part_surfaces(
     derived: &DerivedStructures,
     handles: &HandleSystem,
-    clearance: Option<f64>,
+    contact: Contact,
     positions: &mut [DVec3],
     exec: &Exec<'_>,
 ) -> Result<(), Error> {
+    let Contact::Avoided { clearance } = contact else {
+        return Ok(());
+    };
     exec.progress.begin_pass("contact");
     let layers = derived.layer_sides(exec)?;
     let surface = ContactSurface {

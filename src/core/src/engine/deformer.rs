@@ -1,7 +1,7 @@
 //! The deformer: one model, everything derived from it, its handles, and poses solved on request.
 
 use crate::asset::{BoneLengthRule, BoundSplats, FileSet, Format, Geometry, Model, ShapeFollowers, WrittenFiles};
-use crate::deform::{DeformableBody, HandleSystem, PoseStats, SolveState};
+use crate::deform::{DeformableBody, HandleSystem, MOST_WHOLE_FIELDS, PoseStats, SolveState};
 use crate::engine::derived_structures::{DerivedStructures, admit_bytes};
 use crate::engine::error::Error;
 use crate::engine::facts::{
@@ -230,10 +230,7 @@ impl Deformer {
     /// Those of [`Model::write`] and, with nodes that ride along, [`Deformer::carrier`].
     pub fn write(&self, positions: &[DVec3], format: Format, exec: &Exec<'_>) -> Result<WrittenFiles, Error> {
         let motions = self.riding_nodes_at(positions, exec)?.motions();
-        let beside = HeldBeside {
-            held: self.byte_size(),
-            watcher: exec.progress,
-        };
+        let beside = HeldBeside::of(self.byte_size(), exec.progress);
         let points = self.bound_splats().filter(|_| format.holds_splats());
         let carrier = points.map(|_| self.carrier(positions, exec)).transpose()?;
         let splats = points.zip(carrier.as_ref());
@@ -415,7 +412,11 @@ impl Deformer {
         // A mirror image of each may come beside it.
         let most = handles.handles.len() as u64 * if handles.symmetry_plane.is_some() { 2 } else { 1 };
         // The handles in force and the states that were left stay until the new ones are whole.
-        let held = self.estimate() + self.spare_bytes() + (most + 1) * body.nodes() as u64 * FIELD_BYTES;
+        let whole = match body.local_fields {
+            true => most.min(MOST_WHOLE_FIELDS as u64) + 1,
+            false => most + 1,
+        };
+        let held = self.estimate() + self.spare_bytes() + whole * body.nodes() as u64 * FIELD_BYTES;
         // Parts with their edges, and a second system.
         let stiff = match &handles.stiff {
             Some(_) => body.nodes() as u64 * STIFF_NODE_BYTES + body.graph.neighbours.len() as u64 * STIFF_EDGE_BYTES,
@@ -430,9 +431,11 @@ impl Deformer {
         if self.options.loose_vertices_ride {
             resolved.unreferenced = Vec::new();
         }
+        let beside = HeldBeside::within(held, self.room, exec.progress);
+        let build = |setup| HandleSystem::build(body, setup, &Exec::new(exec.pool, &beside));
         let system = match is_empty {
             true => None,
-            false => Some(HandleSystem::build(body, setup, exec)?),
+            false => Some(build(setup).map_err(|e| beside.refusal(e))?),
         };
         let large = match &system {
             Some(system) => warn_of_large_faces(&self.derived.mesh, system, body.diagonal, 0.0, exec)?,
@@ -441,12 +444,10 @@ impl Deformer {
         let with_joints = system
             .as_ref()
             .filter(|_| resolved.set.default_pivot == DefaultPivot::Joint);
-        let joint = |k: usize| with_joints.and_then(|system| system.joint_of(body, k, exec.pool));
-        let pivots = resolved
-            .centroids
-            .iter()
-            .enumerate()
-            .map(|(k, middle)| joint(k).unwrap_or(*middle));
+        let mut joints = with_joints.map_or_else(Vec::new, |system| system.joints(body, exec.pool));
+        joints.resize(resolved.centroids.len(), None);
+        let pivots = joints.iter().zip(&resolved.centroids);
+        let pivots = pivots.map(|(joint, middle)| joint.unwrap_or(*middle));
         self.handles = ResolvedHandles {
             pivots: pivots.collect(),
             ..resolved

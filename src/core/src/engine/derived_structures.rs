@@ -1,12 +1,12 @@
 //! Everything that follows from a model alone, whatever its handles: mesh, parts, graph and hierarchy.
 
-use super::error::Error;
+use super::error::{ESTIMATED_MEMORY, Error};
 use super::facts::{BYTES_PER_NODE, DeformerWarning, TieFacts, WarningPlace, interior_warnings, most_nodes, tie_facts};
 use super::model_topology::ModelTopology;
 use super::part_families::PartFamilies;
 use super::riding::{RidingModel, RidingVertices};
 use super::riding_frames::{PackedRiders, RidingFrames};
-use super::settings::{DeformerLimits, ESTIMATED_MEMORY, OpenOptions};
+use super::settings::{DeformerLimits, OpenOptions};
 use super::shape::TopologyId;
 use super::topology_state::{LineageOrigin, MeshDelta, TopologyLineage, TopologyState};
 use crate::asset::Model;

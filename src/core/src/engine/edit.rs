@@ -10,7 +10,7 @@ use super::derived_structures::{DerivedStructures, TopologyChange};
 use super::edit_command::{EditCommand, EditKind, EditOutcome, EditReport, EditedShape, kept_vertex_runs};
 use super::edit_operations::{EditContext, plan_edit};
 use super::edit_surface::EditSurface;
-use super::error::Error;
+use super::error::{ESTIMATED_MEMORY, Error};
 use super::facts::{DeformerWarning, MeshCounts};
 use super::line_cuts::cut_lines;
 use super::part_families::VertexOrigins;
@@ -19,7 +19,7 @@ use super::region::Region;
 use super::region_context::{RegionContext, nodes_in_region, vertices_in_region, vertices_of_handle};
 use super::riding_edits::{RiddenEdit, take_splats};
 use super::seams::Seams;
-use super::settings::{EDITED_AT_REST, ESTIMATED_MEMORY, HeldBeside, SolveMode, SolveSettings};
+use super::settings::{EDITED_AT_REST, HeldBeside, SolveMode, SolveSettings};
 use super::shape::{ModelShape, Shading};
 use super::topology_state::TopologyState;
 use super::{Deformer, digest};
@@ -76,10 +76,7 @@ impl Deformer {
             admit_growth: &|triangles| self.admit_growth(triangles, exec),
         };
         // All that there is stays until the edit is whole.
-        let beside = HeldBeside {
-            held: self.byte_size(),
-            watcher: exec.progress,
-        };
+        let beside = HeldBeside::of(self.byte_size(), exec.progress);
         let mut patch = plan_edit(&mut context, order.edit, &Exec::new(exec.pool, &beside))?;
         exec.check()?;
         // What is given vertex by vertex keeps all of them.
@@ -155,13 +152,8 @@ impl Deformer {
         exec.check()?;
         report.handles_kept = carried.set.handles.iter().map(|h| h.id.clone()).collect();
         report.warnings.splice(..0, std::mem::take(&mut carried.warnings));
-        let beside = HeldBeside {
-            held: self
-                .handle_system
-                .as_ref()
-                .map_or(0, |handles| handles.byte_size() as u64),
-            watcher: exec.progress,
-        };
+        let held = self.handle_system.as_ref().map_or(0, |handles| handles.byte_size());
+        let beside = HeldBeside::of(held as u64, exec.progress);
         next.set_handles(&carried.set, &Exec::new(exec.pool, &beside))?;
         Ok(next)
     }

@@ -5,6 +5,9 @@ use crate::motion::skin_weights::SkinWeightError;
 use crate::progress::Cancelled;
 use crate::{asset, deform, mesh, motion};
 
+/// What is too large where a deformer would hold more bytes than it may.
+pub const ESTIMATED_MEMORY: &str = "the estimated memory of the session in bytes";
+
 /// Why something was refused or could not be carried out. Nothing has changed when one of these is returned.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Error {
@@ -117,6 +120,12 @@ impl From<deform::Error> for Error {
             Deform::NoPosition | Deform::FreePart { .. } => Self::Precondition(e.to_string()),
             Deform::Unsupported(what) => Self::Unimplemented(what),
             Deform::Solver(_) => Self::Internal(e.to_string()),
+            // How much there is room for, only the caller knows.
+            Deform::TooLarge { bytes } => Self::TooLarge {
+                what: ESTIMATED_MEMORY,
+                seen: bytes,
+                limit: 0,
+            },
         }
     }
 }

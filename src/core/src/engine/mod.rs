@@ -83,7 +83,7 @@ pub use edit_command::{
     CleanCommand, Creases, CutLine, Edit, EditCommand, EditKind, EditOutcome, EditReport, EditedShape, KeptVertexRun,
     MergeJoin, ModelMerge, OwnCap, RemeshCommand, SmoothCommand, SmoothKind, UnintersectCommand, UnintersectReport,
 };
-pub use error::Error;
+pub use error::{ESTIMATED_MEMORY, Error};
 pub use facts::{
     DeformerFacts, DeformerWarning, HandleFacts, LoosePart, MeshCounts, ModelFacts, QualityReport, SolverFacts,
     TieFacts, WarningPlace,
@@ -98,8 +98,8 @@ pub use region::{Anchor, AnchorCorners, Plane, Region, VertexRange};
 pub use riding::CarriedNode;
 pub use riding_file::RidingFile;
 pub use settings::{
-    COMMIT_REFINE, CarriedModel, Contact, DeformerLimits, ESTIMATED_MEMORY, KeptApart, OpenOptions, Passenger,
-    PassengerKind, Recipe, SolveMode, SolveSettings,
+    COMMIT_REFINE, CarriedModel, Contact, DeformerLimits, KeptApart, OpenOptions, Passenger, PassengerKind, Recipe,
+    SolveMode, SolveSettings,
 };
 pub use shape::{FoundTurn, ModelShape, Shader, Shading, ShapeId, TopologyId, digest, shading};
 pub use solve::Drag;

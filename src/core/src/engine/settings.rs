@@ -1,7 +1,8 @@
 //! How a model is opened and how its poses are solved, what a deformer may hold, and what it carries along.
 
+use super::error::{ESTIMATED_MEMORY, Error};
 use crate::asset::{self, FileSet, Following, Format};
-use crate::deform::{BodyOptions, CoarseOperators, FitOrder, FreePartPolicy, Quality, TieOptions, VolumeMode};
+use crate::deform::{self, BodyOptions, CoarseOperators, FitOrder, FreePartPolicy, Quality, TieOptions, VolumeMode};
 use crate::graph::VolumeOptions;
 use crate::mesh::Weld;
 use crate::progress::Progress;
@@ -77,6 +78,7 @@ impl Default for OpenOptions {
                 apart: false,
                 ties: Some(TieOptions::default()),
                 near_origin: true,
+                local_fields: true,
             },
             passengers: Vec::new(),
             loose_vertices_ride: true,
@@ -203,9 +205,6 @@ pub enum SolveMode {
     Commit,
 }
 
-/// What is too large where a deformer would hold more bytes than it may.
-pub const ESTIMATED_MEMORY: &str = "the estimated memory of the session in bytes";
-
 /// What a deformer may hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DeformerLimits {
@@ -247,8 +246,34 @@ impl DeformerLimits {
 pub(super) struct HeldBeside<'a> {
     /// The bytes that it holds.
     pub held: u64,
+    /// The bytes that it may hold, whatever its watcher says.
+    pub most: u64,
     /// Who watches the deformer.
     pub watcher: &'a dyn Progress,
+}
+
+impl<'a> HeldBeside<'a> {
+    /// Beside `held` bytes, as far as the watcher goes.
+    pub fn of(held: u64, watcher: &'a dyn Progress) -> Self {
+        Self::within(held, u64::MAX, watcher)
+    }
+
+    /// Beside `held` bytes, up to `most` in all.
+    pub fn within(held: u64, most: u64, watcher: &'a dyn Progress) -> Self {
+        Self { held, most, watcher }
+    }
+
+    /// Why a deformation could not be prepared, with what it may hold.
+    pub fn refusal(&self, error: deform::Error) -> Error {
+        match error {
+            deform::Error::TooLarge { bytes } => Error::TooLarge {
+                what: ESTIMATED_MEMORY,
+                seen: self.held.saturating_add(bytes),
+                limit: self.most,
+            },
+            other => other.into(),
+        }
+    }
 }
 
 impl Progress for HeldBeside<'_> {
@@ -257,7 +282,8 @@ impl Progress for HeldBeside<'_> {
     }
 
     fn may_hold(&self, bytes: u64) -> bool {
-        self.watcher.may_hold(self.held.saturating_add(bytes))
+        let bytes = self.held.saturating_add(bytes);
+        bytes <= self.most && self.watcher.may_hold(bytes)
     }
 
     fn report(&self, stage: &'static str, fraction: f32) {

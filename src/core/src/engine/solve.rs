@@ -174,32 +174,27 @@ impl Deformer {
         // All other methods but the first are for comparison.
         let mut solved = match settings.method {
             Method::Harmonic => found.map_or_else(|| with(FirstPass::Harmonic), Ok)?,
-            Method::Diffusion => {
-                let turns = diffuse(body, handle_system, &transforms, exec)?;
-                with(FirstPass::Given(turns.as_deref()))?
-            }
-            Method::LinearFrames => {
-                let turns = linear_frames(body, handle_system, &transforms, exec.pool);
-                with(FirstPass::Given(turns.as_deref()))?
-            }
+            Method::Diffusion => with(FirstPass::Given(
+                diffuse(body, handle_system, &transforms, exec)?.as_deref(),
+            ))?,
+            Method::LinearFrames => with(FirstPass::Given(
+                linear_frames(body, handle_system, &transforms, exec.pool).as_deref(),
+            ))?,
             Method::SpatialRbf => spatial_rbf.solve(handle_system, body, &transforms, state, exec)?,
         };
         exec.progress.begin_pass("settle");
         derived
             .thin
             .settle(body, handle_system, &solved.frames, &mut solved.positions, exec.pool);
-        match (mode, settings.contact) {
-            (SolveMode::Drag, contact) => {
-                part_moving_surfaces(derived, handle_system, contact, state, &mut solved.positions, exec)?;
+        let (contact, places) = (settings.contact, &mut solved.positions);
+        match mode {
+            SolveMode::Drag => part_moving_surfaces(derived, handle_system, contact, state, places, exec)?,
+            SolveMode::Anew => part_surfaces(derived, handle_system, contact, places, exec)?,
+            SolveMode::Commit if settings.method == Method::SpatialRbf => {}
+            SolveMode::Commit => {
+                let watch = BuckleWatch::of(derived, handle_system, request, exec);
+                solved = watch.finished_commit(solved, settings, state)?;
             }
-            (SolveMode::Anew, Contact::Avoided { clearance }) => {
-                part_surfaces(derived, handle_system, clearance, &mut solved.positions, exec)?;
-            }
-            _ => {}
-        }
-        if mode == SolveMode::Commit && settings.method != Method::SpatialRbf {
-            let watch = BuckleWatch::of(derived, handle_system, request, exec);
-            solved = watch.finished_commit(solved, settings, state)?;
         }
         exec.progress.begin_pass("render");
         let (positions, gradients) = shape.render(&solved.positions, &solved.frames, &transforms);

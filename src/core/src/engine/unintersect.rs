@@ -32,10 +32,7 @@ impl Deformer {
     ) -> Result<ShapeToEdit, Error> {
         exec.progress.report("contact", 0.0);
         // The deformer stays until the edit is whole.
-        let beside = HeldBeside {
-            held: self.byte_size(),
-            watcher: exec.progress,
-        };
+        let beside = HeldBeside::of(self.byte_size(), exec.progress);
         let exec = &Exec::new(exec.pool, &beside);
         let surface = self.edit_surface(&shape.positions, &self.topology().origins(&self.derived.mesh), exec)?;
         check_faces_at_points(&surface.surface())?;

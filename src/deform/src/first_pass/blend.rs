@@ -3,6 +3,8 @@
 //! Frames of all nodes many times a second: about one axis by three matrices and a polynomial, else as the first pass blends them.
 
 use crate::body::DeformableBody;
+use crate::field_terms::FieldTerms;
+use crate::fields::HarmonicFields;
 use crate::handles::system::HandleSystem;
 use crate::rotation::{RotationBlending, Transform};
 use glam::{DMat3, DQuat, DVec3, Mat3};
@@ -77,9 +79,9 @@ impl<'a> PoseBlend<'a> {
         Some(OneAxisBlend {
             base: rotations.base,
             axis,
-            terms: (rotations.terms.iter())
-                .map(|t| (t.field, t.vector.dot(axis)))
-                .collect(),
+            terms: FieldTerms::new(rotations.fields, {
+                (rotations.terms.iter()).map(|t| (t.hold, t.vector.dot(axis)))
+            }),
             covered: rotations.covered,
             component: self.component,
         })
@@ -141,17 +143,16 @@ struct OneAxisBlend<'a> {
     pub base: DQuat,
     /// A unit vector.
     pub axis: DVec3,
-    /// Fields, and angles in radians.
-    pub terms: Vec<(&'a [f32], f64)>,
+    /// Angles in radians.
+    pub terms: FieldTerms<'a, f64>,
     /// By component: whether any handle that constrains rotations has a say there.
     pub covered: &'a [bool],
     pub component: &'a [u32],
 }
 
 /// The rotation of one hold relative to the base.
-struct RotationTerm<'a> {
+struct RotationTerm {
     hold: usize,
-    field: &'a [f32],
     vector: DVec3,
 }
 
@@ -159,7 +160,11 @@ struct RotationTerm<'a> {
 struct HandleRotations<'a> {
     base: DQuat,
     turned_base: bool,
-    terms: Vec<RotationTerm<'a>>,
+    /// By rising hold.
+    terms: Vec<RotationTerm>,
+    fields: &'a HarmonicFields,
+    /// By hold, the number of its term.
+    numbers: FieldTerms<'a, usize>,
     covered: &'a [bool],
     blending: RotationBlending,
 }
@@ -169,9 +174,7 @@ impl<'a> HandleRotations<'a> {
         let fields = handles.blending_fields.as_ref().unwrap_or(&handles.rotation_fields);
         // The frozen surroundings stand still; they come after the holds.
         let rotation = |k: usize| transforms.get(k).map_or(DVec3::ZERO, |t| t.rotation);
-        let active: Vec<usize> = (0..=handles.handle_count())
-            .filter(|&k| !fields.of(k).is_empty())
-            .collect();
+        let active: Vec<usize> = (0..=handles.handle_count()).filter(|&k| fields.has_say(k)).collect();
         let base_hold = active
             .iter()
             .copied()
@@ -182,7 +185,6 @@ impl<'a> HandleRotations<'a> {
             .iter()
             .map(|&hold| RotationTerm {
                 hold,
-                field: fields.of(hold),
                 vector: relative_rotation(base, rotation(hold)),
             })
             .filter(|term| term.vector != DVec3::ZERO)
@@ -192,7 +194,12 @@ impl<'a> HandleRotations<'a> {
             base: exp_rotation(base),
             turned_base: base != DVec3::ZERO,
             blending: RotationBlending::new(&vectors),
+            numbers: FieldTerms::new(
+                fields,
+                terms.iter().enumerate().map(|(number, term)| (term.hold, number)),
+            ),
             terms,
+            fields,
             covered: &fields.covered,
         }
     }
@@ -202,12 +209,14 @@ impl<'a> HandleRotations<'a> {
         self.terms.is_empty() && !self.turned_base
     }
 
-    /// The terms with a say at a node: (index, weight).
-    fn weights(&self, node: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
-        let weights = self.terms.iter().enumerate();
-        weights
-            .map(move |(k, term)| (k, f64::from(term.field[node])))
-            .filter(|(_, u)| *u > 0.0)
+    /// Puts the terms with a say at a node in the place of `weights`: (index, weight).
+    fn find_weights(&self, node: usize, weights: &mut Vec<(usize, f64)>) {
+        weights.clear();
+        self.numbers.each_at(node, |u, &number| {
+            if u > 0.0 {
+                weights.push((number, f64::from(u)));
+            }
+        });
     }
 
     /// The rotation at a node; `None` for the identity.
@@ -220,8 +229,7 @@ impl<'a> HandleRotations<'a> {
         if !self.covered[component] || self.are_still() {
             return None;
         }
-        scratch.clear();
-        scratch.extend(self.weights(node));
+        self.find_weights(node, scratch);
         if scratch.is_empty() && !self.turned_base {
             return None;
         }
@@ -233,9 +241,9 @@ impl<'a> HandleRotations<'a> {
     }
 
     fn held_rotation(&self, hold: usize) -> DQuat {
-        match self.terms.iter().position(|t| t.hold == hold) {
-            Some(k) => self.base * self.blending.at(&[(k, 1.0)]),
-            None => self.base,
+        match self.terms.binary_search_by_key(&hold, |t| t.hold) {
+            Ok(k) => self.base * self.blending.at(&[(k, 1.0)]),
+            Err(_) => self.base,
         }
     }
 
@@ -243,7 +251,8 @@ impl<'a> HandleRotations<'a> {
         if !self.covered[component] || self.are_still() {
             return None;
         }
-        let weights: Vec<(usize, f64)> = self.weights(node).collect();
+        let mut weights = Vec::new();
+        self.find_weights(node, &mut weights);
         if weights.is_empty() && !self.turned_base {
             return None;
         }
@@ -257,27 +266,28 @@ impl<'a> HandleRotations<'a> {
 
 /// The scaled handles' log-scales with their fields.
 struct HandleScales<'a> {
-    terms: Vec<(&'a [f32], DMat3)>,
+    terms: FieldTerms<'a, DMat3>,
 }
 
 impl<'a> HandleScales<'a> {
     fn new(handles: &'a HandleSystem, transforms: &[Transform]) -> Self {
         let fields = handles.scale_fields.as_ref().unwrap_or(&handles.rotation_fields);
-        let terms = transforms
-            .iter()
-            .enumerate()
-            .filter(|(k, t)| t.log_scale != DMat3::ZERO && !fields.of(*k).is_empty())
-            .map(|(k, t)| (fields.of(k), t.log_scale))
-            .collect();
-        Self { terms }
+        let scaled = (transforms.iter().enumerate())
+            .filter(|(k, t)| t.log_scale != DMat3::ZERO && fields.has_say(*k))
+            .map(|(k, t)| (k, t.log_scale));
+        Self {
+            terms: FieldTerms::new(fields, scaled),
+        }
     }
 
     /// The scale at a node; `None` for the identity.
     fn at(&self, node: usize) -> Option<DMat3> {
         let mut sum = DMat3::ZERO;
-        for (field, log) in self.terms.iter().filter(|(field, _)| field[node] > 0.0) {
-            sum += *log * f64::from(field[node]);
-        }
+        self.terms.each_at(node, |share, log| {
+            if share > 0.0 {
+                sum += *log * f64::from(share);
+            }
+        });
         (sum != DMat3::ZERO).then(|| exp_symmetric(sum))
     }
 }
@@ -332,7 +342,7 @@ impl<'a> QuickFrames<'a> {
     pub fn prefetch(&self, node: usize) {
         if let Some(OneAxisFrames { blend, .. }) = &self.one_axis {
             prefetch(blend.component, node);
-            blend.terms.iter().for_each(|(field, _)| prefetch(field, node));
+            blend.terms.prefetch(node);
         }
     }
 
@@ -355,9 +365,7 @@ impl OneAxisFrames<'_> {
             return columns(&Mat3::IDENTITY);
         }
         let mut angle = 0.0;
-        for (field, whole) in terms {
-            angle += f64::from(field[node]).max(0.0) * whole;
-        }
+        terms.each_at(node, |share, whole| angle += f64::from(share).max(0.0) * whole);
         let [base, by_sine, by_rest] = &self.matrices;
         if angle == 0.0 {
             return *base;

@@ -9,6 +9,7 @@
 //! keep their shape.
 
 use crate::body::DeformableBody;
+use crate::field_terms::FieldTerms;
 use crate::first_pass::blend::{LocalFrame, pack_frame};
 use crate::handles::ownership::UNHELD;
 use crate::handles::system::HandleSystem;
@@ -29,6 +30,11 @@ pub struct HandleMotion<'a> {
 
 /// Adds to every position its share of all motions: x_i += Σ_k u_k(i) (D_k(x_i) − x_i). `x` holds three numbers a node.
 pub fn carry(x: &mut [f64], motions: &[HandleMotion<'_>], pool: &Pool) {
+    let terms = motions.iter().map(|motion| (motion.field, motion.map));
+    carry_along(x, &FieldTerms::Whole(terms.collect()), pool);
+}
+
+fn carry_along(x: &mut [f64], motions: &FieldTerms<'_, DAffine3>, pool: &Pool) {
     if motions.is_empty() {
         return;
     }
@@ -41,7 +47,7 @@ pub fn carry(x: &mut [f64], motions: &[HandleMotion<'_>], pool: &Pool) {
             .for_each(|(i, x)| {
                 let here = DVec3::from_array(*x);
                 let mut there = here;
-                motions.iter().for_each(|motion| there += motion.share_of(i, here));
+                motions.each_at(i, |share, map| there += moved_by(map, share, here));
                 *x = there.to_array();
             });
     });
@@ -91,32 +97,30 @@ impl HandleSystem {
         x: &mut [f64],
         pool: &Pool,
     ) {
-        carry(x, &self.motions(body, from, to), pool);
+        carry_along(x, &self.motions(body, from, to), pool);
     }
 
     /// How handles that hold positions moved from one pose to the next, in solving coordinates; those whose scale was close to
     /// nothing are left out.
-    pub(crate) fn motions(&self, body: &DeformableBody, from: &[Transform], to: &[Transform]) -> Vec<HandleMotion<'_>> {
+    pub(crate) fn motions(
+        &self,
+        body: &DeformableBody,
+        from: &[Transform],
+        to: &[Transform],
+    ) -> FieldTerms<'_, DAffine3> {
         let into = solving_to_model(body);
-        from.iter()
-            .zip(to)
-            .enumerate()
+        let moved = (from.iter().zip(to).enumerate())
             .filter(|(k, (from, to))| from != to && self.setup.handles[*k].position)
-            .map(|(k, (from, to))| HandleMotion {
-                field: self.rotation_fields.of(k),
-                map: way_between(from, to, into),
-            })
-            .filter(|motion| motion.map.is_finite() && !motion.field.is_empty())
-            .collect()
+            .map(|(k, (from, to))| (k, way_between(from, to, into)))
+            .filter(|(k, map)| map.is_finite() && self.rotation_fields.has_say(*k));
+        FieldTerms::new(&self.rotation_fields, moved)
     }
 }
 
-impl HandleMotion<'_> {
-    /// What a node at `here` moves by.
-    pub(crate) fn share_of(&self, node: usize, here: DVec3) -> DVec3 {
-        let share = self.field.get(node).map_or(0.0, |u| f64::from(*u));
-        (self.map.transform_point3(here) - here) * share
-    }
+/// What a place moves by with its share of a handle's motion.
+#[inline]
+pub(crate) fn moved_by(map: &DAffine3, share: f32, here: DVec3) -> DVec3 {
+    (map.transform_point3(here) - here) * f64::from(share)
 }
 
 /// From where a handle's nodes were to where they are, in the coordinates that `into` takes to the model's.
@@ -255,9 +259,8 @@ pub type HandleShares = Vec<(u32, f32)>;
 impl HandleSystem {
     /// What the handles have to say at a node, from their rotation fields; where none constrains rotation, who holds it.
     pub fn shares_at(&self, node: usize) -> HandleShares {
-        let fields = (0u32..).zip(&self.rotation_fields.fields);
-        let shares = fields.filter_map(|(k, field)| field.get(node).map(|&u| (k, u)));
-        let shares: HandleShares = shares.filter(|&(_, u)| u > 0.0).collect();
+        let mut shares = HandleShares::new();
+        self.rotation_fields.each_at(node, |k, u| shares.push((k as u32, u)));
         match self.position.hard[node] {
             hold if shares.is_empty() && hold != UNHELD => vec![(hold, 1.0)],
             _ => shares,
@@ -266,7 +269,12 @@ impl HandleSystem {
 
     /// What part of the way between handles lies between two nodes, 0 to 1: half of what their shares differ by.
     pub fn way_between(&self, a: usize, b: usize) -> f64 {
-        shares_difference(&self.shares_at(a), &self.shares_at(b))
+        match self.rotation_fields.sparse() {
+            Some(shares) if !shares.at(a).is_empty() && !shares.at(b).is_empty() => {
+                shares_difference(shares.at(a), shares.at(b))
+            }
+            _ => shares_difference(&self.shares_at(a), &self.shares_at(b)),
+        }
     }
 }
 

@@ -2,12 +2,13 @@
 
 use crate::body::DeformableBody;
 use crate::error::Error;
-use crate::fields::{HarmonicFields, SparseShares, solve_fields};
+use crate::fields::{HarmonicFields, solve_fields};
 use crate::handles::free_parts::FreeParts;
 use crate::handles::ownership::{HandleConstraint, HandleSetup, NodeOwnership, UNHELD};
 use crate::handles::pulled_places::PulledPlaces;
 use crate::handles::stiff::StiffParts;
 use crate::rotation::Transform;
+use crate::shares::SparseShares;
 use glam::DVec3;
 use pliant_exec::Exec;
 use pliant_exec::pool::Pool;
@@ -125,11 +126,11 @@ impl HandleSystem {
         &self.positions.system
     }
 
-    /// The joint between a handle and what is free, which it turns about by default. `None` for a handle that constrains no
+    /// By handle, the joint between it and what is free, which it turns about by default. `None` for a handle that constrains no
     /// rotation, or around which nothing is free.
-    pub fn joint_of(&self, body: &DeformableBody, handle: usize, pool: &Pool) -> Option<DVec3> {
-        let region = &self.setup.handles[handle].nodes;
-        self.rotation_fields.joint(handle, region, &body.graph, pool)
+    pub fn joints(&self, body: &DeformableBody, pool: &Pool) -> Vec<Option<DVec3>> {
+        let regions: Vec<&[u32]> = self.setup.handles.iter().map(|hold| &hold.nodes[..]).collect();
+        self.rotation_fields.joints(&regions, &body.graph, pool)
     }
 
     /// Number of handles.
@@ -146,7 +147,7 @@ impl HandleSystem {
     pub(crate) fn sparse_shares(&self, pool: &Pool) -> &SparseShares {
         self.sparse.get_or_init(|| {
             let fields = self.blending_fields.as_ref().unwrap_or(&self.rotation_fields);
-            SparseShares::of(fields, self.position.hard.len(), pool)
+            fields.largest_shares(self.position.hard.len(), pool)
         })
     }
 

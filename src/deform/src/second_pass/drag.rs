@@ -7,8 +7,9 @@
 
 use crate::body::DeformableBody;
 use crate::error::Error;
+use crate::field_terms::FieldTerms;
 use crate::first_pass::blend::{LocalFrame, PoseBlend, QuickFrames};
-use crate::handles::motion::HandleMotion;
+use crate::handles::motion::moved_by;
 use crate::handles::ownership::UNHELD;
 use crate::handles::system::HandleSystem;
 use crate::pose::{FirstPass, SolutionExtent, SolveStart, SolveUpdate, SolvedNodes};
@@ -16,7 +17,7 @@ use crate::rotation::Transform;
 use crate::second_pass::equations::ScatteredPose;
 use crate::second_pass::state::{DragRows, NO_NODE, SolveState};
 use crate::solve::{PoseSolve, SolveTally};
-use glam::{DVec3, Mat3};
+use glam::{DAffine3, DVec3, Mat3};
 use pliant_exec::Exec;
 use pliant_exec::pool::Pool;
 use pliant_solver::{Lanes, SolveControl, SolveStats, prefetch};
@@ -200,7 +201,7 @@ pub(super) fn fill_scattered(
 /// The pass before the solve: frames, and places carried along with the handles.
 struct RowPass<'a, M> {
     frames: QuickFrames<'a>,
-    motions: Vec<HandleMotion<'a>>,
+    motions: FieldTerms<'a, DAffine3>,
     /// By hold: from rest to where the pose has it, model space.
     maps: Vec<M>,
     /// What places are relative to, before and after.
@@ -231,7 +232,7 @@ impl<M: Fn(DVec3) -> DVec3 + Send + Sync> RowPass<'_, M> {
     #[inline]
     fn prefetch(&self, node: usize) {
         self.frames.prefetch(node);
-        self.motions.iter().for_each(|motion| prefetch(motion.field, node));
+        self.motions.prefetch(node);
         prefetch(&self.handles.positions.fixed, node);
     }
 
@@ -246,7 +247,8 @@ impl<M: Fn(DVec3) -> DVec3 + Send + Sync> RowPass<'_, M> {
             };
         }
         let here = before + from;
-        let moved: DVec3 = self.motions.iter().map(|motion| motion.share_of(node, here)).sum();
+        let mut moved = DVec3::ZERO;
+        (self.motions).each_at(node, |share, map| moved += moved_by(map, share, here));
         here + moved - to
     }
 }

@@ -12,6 +12,7 @@ use crate::handles::system::HandleSystem;
 use crate::pose::{FirstPass, FitOrder, PoseRequest, Quality, SolutionExtent, SolveStart, SolvedNodes};
 use crate::rotation::Transform;
 use crate::second_pass::state::SolveState;
+use crate::shares::map_with_scratch;
 use glam::{DMat3, DVec3, Mat3};
 use pliant_exec::Exec;
 use pliant_exec::pool::Pool;
@@ -102,7 +103,7 @@ impl HandleSystem {
 
     /// Whether a turn of a hold changes anything but all of it alike.
     fn is_turnable(&self, hold: usize) -> bool {
-        !self.rotation_fields.of(hold).is_empty()
+        self.rotation_fields.has_say(hold)
     }
 
     /// By free hold: the torque on it, as the turn that would end it if nothing around gave way.
@@ -117,59 +118,119 @@ impl HandleSystem {
         if solved.frames.len() != body.nodes() {
             return vec![DVec3::ZERO; free.len()];
         }
-        let posed = EdgeEnds { body, solved };
-        let pieces = body.nodes().div_ceil(PIECE);
-        let of_hold = |&hold: &usize| {
-            let field = self.blending_fields.as_ref().unwrap_or(&self.rotation_fields).of(hold);
-            let place = body.solving_from_model(transforms[hold].pivot + transforms[hold].translation);
-            let is_held = |node: usize| self.position.hard[node] == hold as u32;
-            let of_piece = |piece: usize| {
-                let mut sum = (DVec3::ZERO, 0.0);
-                for node in piece * PIECE..((piece + 1) * PIECE).min(body.nodes()) {
-                    let here = posed.node(node);
-                    for (other, weight) in body.edges(node).filter(|(other, _)| *other < node) {
-                        let shares = [node, other].map(|end| f64::from(field[end]));
-                        let held = [node, other].map(is_held);
-                        if shares == [0.0; 2] && held[0] == held[1] {
-                            continue;
-                        }
-                        let ends = [&here, &posed.node(other)];
-                        let edge = here.rest - ends[1].rest;
-                        // The edge as the frame of each end would have it, and what it lacks of their mean.
-                        let own = ends.map(|end| end.frame * edge);
-                        let missing = here.at - ends[1].at - (own[0] + own[1]) * 0.5;
-                        for (own, share) in own.into_iter().zip(shares) {
-                            sum.0 -= own.cross(missing) * (0.5 * weight * share);
-                            sum.1 += 0.25 * weight * own.length_squared() * share * share;
-                        }
-                        if held[0] != held[1] {
-                            let arm = ends[usize::from(held[1])].at - place;
-                            sum.0 += arm.cross(missing) * if held[0] { weight } else { -weight };
-                            sum.1 += weight * arm.length_squared();
-                        }
-                    }
-                }
-                sum
-            };
-            // Pieces are summed in their order, for any number of threads.
-            let sums: Vec<(DVec3, f64)> = pool.install(|| (0..pieces).into_par_iter().map(of_piece).collect());
-            let (mut torque, resistance) = sums
-                .into_iter()
-                .fold((DVec3::ZERO, 0.0), |(t, r), (torque, by)| (t + torque, r + by));
-            let map = transforms[hold].map();
-            for &(node, _, stiffness) in self.position.soft.iter().filter(|pull| pull.1 == hold as u32) {
-                let target = body.solving_from_model(map(body.graph.positions[node as usize]));
-                let arm = target - place;
-                // It resists less than this: what it pulls turns along.
-                torque += arm.cross(target - posed.at(node as usize)) * stiffness;
-            }
-            if resistance > 0.0 {
-                torque / resistance
-            } else {
-                DVec3::ZERO
-            }
+        let fields = self.blending_fields.as_ref().unwrap_or(&self.rotation_fields);
+        let search = TorqueSearch {
+            handles: self,
+            posed: EdgeEnds { body, solved },
+            transforms,
         };
-        free.iter().map(of_hold).collect()
+        let Some(shares) = fields.sparse() else {
+            let pieces = body.nodes().div_ceil(PIECE);
+            let of_hold = |&hold: &usize| {
+                let of_piece = |piece: usize| {
+                    let nodes = piece * PIECE..((piece + 1) * PIECE).min(body.nodes());
+                    search.sum_over(hold, fields.of(hold), nodes, |node, other| other < node)
+                };
+                // Pieces are summed in their order, for any number of threads.
+                let sums: Vec<(DVec3, f64)> = pool.install(|| (0..pieces).into_par_iter().map(of_piece).collect());
+                let sum = sums
+                    .into_iter()
+                    .fold((DVec3::ZERO, 0.0), |(t, r), (torque, by)| (t + torque, r + by));
+                search.turn(hold, sum)
+            };
+            return free.iter().map(of_hold).collect();
+        };
+        let mut is_free = vec![false; fields.holds()];
+        free.iter().for_each(|&k| is_free[k] = true);
+        let lists = shares.by_hold(fields.holds(), |k| is_free[k]);
+        let scratch = || vec![0.0f32; body.nodes()];
+        map_with_scratch(free.len(), pool, scratch, |field, k| {
+            let own = &lists[free[k]];
+            own.iter().for_each(|&(node, u)| field[node as usize] = u);
+            let nodes = own.iter().map(|s| s.0 as usize);
+            // An edge counts where it is met first, or where its other end has no say.
+            let is_counted = |node: usize, other: usize| other < node || field[other] == 0.0;
+            let sum = search.sum_over(free[k], field, nodes, is_counted);
+            own.iter().for_each(|&(node, _)| field[node as usize] = 0.0);
+            search.turn(free[k], sum)
+        })
+    }
+}
+
+/// What torques on holds are found from.
+struct TorqueSearch<'a> {
+    handles: &'a HandleSystem,
+    posed: EdgeEnds<'a>,
+    transforms: &'a [Transform],
+}
+
+impl TorqueSearch<'_> {
+    /// Where a hold turns about, solving coordinates.
+    fn place(&self, hold: usize) -> DVec3 {
+        let transform = &self.transforms[hold];
+        self.posed
+            .body
+            .solving_from_model(transform.pivot + transform.translation)
+    }
+
+    /// The torque on a hold with this field, and what resists it, of the edges of `nodes` that `is_counted` accepts.
+    fn sum_over(
+        &self,
+        hold: usize,
+        field: &[f32],
+        nodes: impl Iterator<Item = usize>,
+        is_counted: impl Fn(usize, usize) -> bool,
+    ) -> (DVec3, f64) {
+        let place = self.place(hold);
+        let is_held = |node: usize| self.handles.position.hard[node] == hold as u32;
+        let mut sum = (DVec3::ZERO, 0.0);
+        for node in nodes {
+            let here = self.posed.node(node);
+            for (other, weight) in self
+                .posed
+                .body
+                .edges(node)
+                .filter(|(other, _)| is_counted(node, *other))
+            {
+                let shares = [node, other].map(|end| f64::from(field[end]));
+                let held = [node, other].map(is_held);
+                if shares == [0.0; 2] && held[0] == held[1] {
+                    continue;
+                }
+                let ends = [&here, &self.posed.node(other)];
+                let edge = here.rest - ends[1].rest;
+                // The edge as the frame of each end would have it, and what it lacks of their mean.
+                let own = ends.map(|end| end.frame * edge);
+                let missing = here.at - ends[1].at - (own[0] + own[1]) * 0.5;
+                for (own, share) in own.into_iter().zip(shares) {
+                    sum.0 -= own.cross(missing) * (0.5 * weight * share);
+                    sum.1 += 0.25 * weight * own.length_squared() * share * share;
+                }
+                if held[0] != held[1] {
+                    let arm = ends[usize::from(held[1])].at - place;
+                    sum.0 += arm.cross(missing) * if held[0] { weight } else { -weight };
+                    sum.1 += weight * arm.length_squared();
+                }
+            }
+        }
+        sum
+    }
+
+    /// The turn that ends a torque, with what soft pulls add to it, where nothing around gives way.
+    fn turn(&self, hold: usize, (mut torque, resistance): (DVec3, f64)) -> DVec3 {
+        let (body, place) = (self.posed.body, self.place(hold));
+        let map = self.transforms[hold].map();
+        for &(node, _, stiffness) in self.handles.position.soft.iter().filter(|pull| pull.1 == hold as u32) {
+            let target = body.solving_from_model(map(body.graph.positions[node as usize]));
+            let arm = target - place;
+            // It resists less than this: what it pulls turns along.
+            torque += arm.cross(target - self.posed.at(node as usize)) * stiffness;
+        }
+        if resistance > 0.0 {
+            torque / resistance
+        } else {
+            DVec3::ZERO
+        }
     }
 }
 

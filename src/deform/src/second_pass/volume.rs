@@ -98,7 +98,7 @@ impl PoseSolve<'_> {
     }
 
     /// By group of holds, the volume at the sections of its field in a solution (solving coordinates, three numbers a node).
-    fn section_volumes(&self, groups: &[AlikeHolds], fit: &RotationFit<'_>, x: &[f64]) -> Vec<SectionVolumes> {
+    fn section_volumes(&self, groups: &AlikeHolds, fit: &RotationFit<'_>, x: &[f64]) -> Vec<SectionVolumes> {
         let inside = self.inside();
         let fields = &self.handles.rotation_fields;
         let length = inside.len().div_ceil(PIECES);
@@ -107,24 +107,23 @@ impl PoseSolve<'_> {
             volume: [0.0; SECTIONS],
         };
         let pieces = self.exec.pool.map(PIECES, 1, |piece| {
-            let mut sums = vec![nothing; groups.len()];
+            let (mut sums, mut scratch) = (vec![nothing; groups.count()], Vec::new());
             let first = inside.start + piece * length;
             for node in (first..(first + length).min(inside.end)).filter(|&node| fit.is_open(node)) {
                 let Some(ratio) = volume_ratio(self.body, fit.wanted_volume(node), node, x) else {
                     continue;
                 };
-                for (sum, group) in sums.iter_mut().zip(groups) {
-                    let u = group.share(fields, node);
-                    let (below, part) = section(u);
+                groups.each_share(fields, node, &mut scratch, |group, u| {
+                    let (sum, (below, part)) = (&mut sums[group], section(u));
                     for (s, part) in [(below, 1.0 - part), (below + 1, part)] {
                         sum.weight[s] += f64::from(u) * part;
                         sum.volume[s] += f64::from(u) * part * ratio;
                     }
-                }
+                });
             }
             sums
         });
-        let mut all = vec![nothing; groups.len()];
+        let mut all = vec![nothing; groups.count()];
         for piece in &pieces {
             for (sum, own) in all.iter_mut().zip(piece) {
                 (0..SECTIONS).for_each(|s| {

@@ -179,6 +179,7 @@ fn new_session(
             every_cut_ends_lines: true,
             riders_keep_sides: true,
             follows_edits: true,
+            local_fields: true,
             label: record.label.clone(),
             format: opened.deformer.engine.format(),
             graph_bytes: Some(opened.graph_bytes),

@@ -34,6 +34,9 @@ pub(super) struct ModelMessage {
     /// See [`RecordedModel`](super::RecordedModel).
     #[prost(bool, tag = "11")]
     pub follows_edits: bool,
+    /// See [`RecordedModel`](super::RecordedModel).
+    #[prost(bool, tag = "12")]
+    pub local_fields: bool,
 }
 
 /// Files by the names of the objects that hold them.

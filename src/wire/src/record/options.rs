@@ -28,6 +28,8 @@ pub struct RecordedModel {
     pub riders_keep_sides: bool,
     /// Whether a graph that follows the shape follows edits, as it does today. Records of before have a new one after each edit.
     pub follows_edits: bool,
+    /// Whether fields of many handles are solved each around its handle, as they are today. Records of before have whole ones.
+    pub local_fields: bool,
     /// The session's label.
     pub label: String,
     /// The format of its files.
@@ -51,6 +53,7 @@ impl RecordedModel {
             every_cut_ends_lines: self.every_cut_ends_lines,
             riders_keep_sides: self.riders_keep_sides,
             follows_edits: self.follows_edits,
+            local_fields: self.local_fields,
         };
         message.encode_to_vec()
     }
@@ -70,6 +73,7 @@ impl RecordedModel {
             every_cut_ends_lines: message.every_cut_ends_lines,
             riders_keep_sides: message.riders_keep_sides,
             follows_edits: message.follows_edits,
+            local_fields: message.local_fields,
             label: message.label,
             format: Format::from_name(&message.format)
                 .ok_or_else(|| Error::invalid("model.format", "is not a format"))?,
@@ -90,6 +94,7 @@ impl RecordedModel {
         options.every_cut_ends_lines = self.every_cut_ends_lines;
         options.riders_keep_sides = self.riders_keep_sides;
         options.body.graph.follows_edits = self.follows_edits;
+        options.body.local_fields = self.local_fields;
         if !self.of_today {
             let graph = &mut options.body.graph;
             graph.kind = InteriorKind::Paper;
@@ -122,6 +127,7 @@ mod tests {
             every_cut_ends_lines: true,
             riders_keep_sides: true,
             follows_edits: true,
+            local_fields: true,
             label: "a label".into(),
             format: Format::OBJ,
             graph_bytes: Some(1 << 40),
@@ -134,10 +140,11 @@ mod tests {
         let before = RecordedModel {
             near_origin: false,
             follows_edits: false,
+            local_fields: false,
             ..again
         };
         let opened = before.open_options().expect("it was read");
-        assert!(!opened.body.near_origin && !opened.body.graph.follows_edits);
+        assert!(!opened.body.near_origin && !opened.body.graph.follows_edits && !opened.body.local_fields);
     }
 
     #[test]
