@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import threading
 import time
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 import pliant
+from pliant.server import find_binary
 
 POSES = [{"head": {"rotation_vector": (0, 0.8 * k / 30, 0)}} for k in range(1, 31)]
 
@@ -190,3 +192,24 @@ def test_a_reader_that_polls_gets_the_newest_frame_and_never_stalls(held: pliant
             newest = stream.latest() or newest
             time.sleep(0.001)
         assert newest.final
+
+
+def test_frames_with_contact_avoid_hardly_cross(server: pliant.LocalServer, tmp_path: Path) -> None:
+    body = tmp_path / "body.glb"
+    subprocess.run([find_binary(), "sample", "body", "-o", body], check=True, capture_output=True)
+    poses = [{"forearm": {"rotation_vector": (0, -2.53 * k / 30, 0)}} for k in range(1, 31)]
+
+    def crossing(positions: np.ndarray, faces: np.ndarray) -> int:
+        with pliant.open((positions, faces), server=server) as shape:
+            return len(shape.crossings().at_rest)
+
+    def crossing_on_a_drag(contact: Literal["ignore", "avoid"]) -> list[int]:
+        with pliant.open(body, server=server) as session:
+            session.handle("body", half_space=((-1, 0, 0), -0.3))
+            session.handle("forearm", half_space=((1, 0, 0), 0.65))
+            frames = list(session.drag(poses, contact=contact))
+            return [crossing(frame.positions, session.triangles()) for frame in frames[-6:]]
+
+    plain, parted = crossing_on_a_drag("ignore"), crossing_on_a_drag("avoid")
+    assert plain[-1] > 100, "the forearm passes through the arm"
+    assert sum(parted) <= 0.05 * sum(plain), f"{parted} of {plain}"
