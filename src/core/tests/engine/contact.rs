@@ -1,5 +1,6 @@
 //! Commits that keep surfaces from crossing.
 
+use crate::surface_files::file_of_parts;
 use glam::{DQuat, DVec3};
 use pliant_core::asset::{FileSet, shapes};
 use pliant_core::engine::{
@@ -13,31 +14,17 @@ use pliant_core::progress::Silent;
 
 const AVOIDED: Contact = Contact::Avoided { clearance: None };
 
-/// A model of some shapes, each moved, without anything that ties them.
-fn model_of(parts: &[(&shapes::Shape, DVec3)]) -> FileSet {
-    let (mut text, mut first) = (String::new(), 1);
-    for ((points, triangles), by) in parts {
-        for p in points.iter().map(|p| *p + *by) {
-            text += &format!("v {} {} {}\n", p.x as f32, p.y as f32, p.z as f32);
-        }
-        for [a, b, c] in triangles.iter().map(|t| t.map(|v| v + first)) {
-            text += &format!("f {a} {b} {c}\n");
-        }
-        first += points.len() as u32;
-    }
-    FileSet::single("parts.obj", text)
-}
-
 /// A closed tube along z from 0 to 4.
 fn tube(around: usize, along: usize) -> FileSet {
-    model_of(&[(&shapes::cylinder(0.5, 4.0, around, along, true), DVec3::ZERO)])
+    file_of_parts(&[(&shapes::cylinder(0.5, 4.0, around, along, true), DVec3::ZERO)])
 }
 
 /// Two parts, of which handles hold a region each.
 fn two_parts(parts: &[(&shapes::Shape, DVec3); 2], held: [Region; 2], exec: &Exec<'_>) -> Deformer {
     let mut options = OpenOptions::default();
     options.body.ties = None;
-    let mut deformer = Deformer::open(model_of(parts), &options, &DeformerLimits::default(), exec).expect("a model");
+    let mut deformer =
+        Deformer::open(file_of_parts(parts), &options, &DeformerLimits::default(), exec).expect("a model");
     let [still, pushed] = held;
     let handles = [Handle::new("still", still), Handle::new("pushed", pushed)];
     deformer.set_handles(handles.to_vec(), exec).expect("right handles");

@@ -1,6 +1,6 @@
 //! Outfits of one body on another.
 
-use crate::off_file::{Surface, file_of};
+use crate::surface_files::{Surface, file_of};
 use glam::DVec3;
 use pliant_core::asset::{Limits, Model, shapes};
 use pliant_core::engine::{

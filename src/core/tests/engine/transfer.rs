@@ -1,6 +1,6 @@
 //! Blend shapes and poses of one model on another.
 
-use crate::off_file::{Surface, file_of};
+use crate::surface_files::{Surface, file_of};
 use glam::{DMat4, DQuat, DVec3, Vec3};
 use pliant_core::asset::{
     BlendClip, BlendShape, BlendShapes, ChannelInterpolation, FileSet, Format, Limits, Model, sample, shapes,

@@ -1,5 +1,6 @@
 //! Models whose triangles cross in the rest pose are freed of that, by little.
 
+use crate::surface_files::file_of_parts;
 use glam::DVec3;
 use pliant_core::asset::{FileSet, shapes};
 use pliant_core::engine::{
@@ -11,25 +12,10 @@ use pliant_core::mesh::BoundingBox;
 use pliant_core::pool::Pool;
 use pliant_core::progress::{Progress, Silent};
 
-/// Shapes as one model, each moved.
-fn model_of(parts: &[(shapes::Shape, DVec3)]) -> FileSet {
-    let (mut text, mut first) = (String::new(), 1);
-    for ((points, triangles), by) in parts {
-        for p in points.iter().map(|p| *p + *by) {
-            text += &format!("v {} {} {}\n", p.x as f32, p.y as f32, p.z as f32);
-        }
-        for [a, b, c] in triangles.iter().map(|t| t.map(|v| v + first)) {
-            text += &format!("f {a} {b} {c}\n");
-        }
-        first += points.len() as u32;
-    }
-    FileSet::single("parts.obj", text)
-}
-
 /// Two balls pushed into each other by so much of their diameter.
 fn balls(depth: f64) -> FileSet {
-    let ball = || shapes::icosphere(0.5, 4);
-    model_of(&[(ball(), DVec3::ZERO), (ball(), DVec3::new(1.0 - depth, 0.02, 0.01))])
+    let ball = shapes::icosphere(0.5, 4);
+    file_of_parts(&[(&ball, DVec3::ZERO), (&ball, DVec3::new(1.0 - depth, 0.02, 0.01))])
 }
 
 /// An arm and a sleeve around it that is rough: it pokes through the arm in many places.
@@ -40,7 +26,7 @@ fn arm_in_rough_sleeve() -> FileSet {
         let wave = libm::sin(11.0 * p.x + 3.0 * p.z) * libm::cos(17.0 * p.y - 13.0 * p.z);
         (p.x, p.y) = (p.x * (1.0 + 0.08 * wave), p.y * (1.0 + 0.08 * wave));
     }
-    model_of(&[(arm, DVec3::ZERO), ((points, triangles), DVec3::Z * 0.5)])
+    file_of_parts(&[(&arm, DVec3::ZERO), (&(points, triangles), DVec3::Z * 0.5)])
 }
 
 fn opened(files: FileSet, exec: &Exec<'_>) -> Deformer {
@@ -93,8 +79,8 @@ fn what_crosses_at_rest_is_parted_and_sizes_are_kept() {
         let largest = (before.rest().iter().zip(deformer.rest().iter()))
             .map(|(was, now)| was.distance(*now))
             .fold(0.0, f64::max);
-        let told = report.largest_move * BoundingBox::of(before.rest()).diagonal();
-        assert!((told - largest).abs() < 1e-9, "{name}: {told} {largest}");
+        let reported = report.largest_move * BoundingBox::of(before.rest()).diagonal();
+        assert!((reported - largest).abs() < 1e-9, "{name}: {reported} {largest}");
         let quality = before.measure(deformer.rest(), false, &exec).expect("no cancel");
         assert!(
             quality.edge_rms < 0.06 && quality.volume_change.abs() < 0.04 && quality.flipped_triangles == 0,

@@ -1,6 +1,6 @@
 //! Models wrapped onto other surfaces.
 
-use crate::off_file::{Surface, file_of};
+use crate::surface_files::{Surface, file_of};
 use glam::{DMat4, DQuat, DVec3};
 use pliant_core::asset::{FileSet, shapes};
 use pliant_core::engine::{
