@@ -85,7 +85,7 @@ impl Transform {
 }
 
 /// Steps towards the Karcher mean from the sum of vectors; more change nothing that can be seen.
-const KARCHER_STEPS: usize = 3;
+pub(crate) const KARCHER_STEPS: usize = 3;
 /// Below the first angle a rotation is all swing, above the second all twist.
 const TWIST: [f64; 2] = [0.7 * PI, PI];
 /// Where two swings are further apart than the second angle, their mean is not safe to look for; below the first it is.
@@ -93,21 +93,21 @@ const APART: [f64; 2] = [0.75 * PI, 0.95 * PI];
 
 /// What one rotation puts into a blend.
 #[derive(Debug, Clone, Copy, Default)]
-struct SwingTwist {
-    swing: DVec3,
-    twist: DVec3,
+pub(crate) struct SwingTwist {
+    pub(crate) swing: DVec3,
+    pub(crate) twist: DVec3,
 }
 
 /// A set of rotations, ready to be blended with any weights.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct RotationBlending {
-    parts: Vec<SwingTwist>,
+    pub(crate) parts: Vec<SwingTwist>,
     /// The swings as quaternions; empty where the Karcher mean is not looked for.
     swings: Vec<DQuat>,
     /// Whether all of them turn about one axis.
     coaxial: bool,
     /// How much of each step towards the Karcher mean is taken, 0 to 1.
-    karcher: f64,
+    pub(crate) karcher: f64,
 }
 
 impl RotationBlending {
