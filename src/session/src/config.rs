@@ -92,7 +92,7 @@ impl Default for SessionConfig {
             sessions: 64,
             memory_bytes: 8 << 30,
             high_water: 0.9,
-            handles: 1024,
+            handles: 16_384,
             message_bytes: 4 << 20,
             window: 8,
             part_bytes: 1 << 20,

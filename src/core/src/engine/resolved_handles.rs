@@ -474,6 +474,9 @@ fn count_held(
     counts
 }
 
+/// How many overlaps of handles, with each other and with what is frozen, have a warning of their own.
+const MOST_OVERLAPS: usize = 64;
+
 fn overlap_warnings(
     handles: &[Handle],
     holds: &[HandleConstraint],
@@ -500,7 +503,8 @@ fn overlap_warnings(
             holder[n as usize] = k as u32;
         }
     }
-    for ((a, b), count) in shared {
+    let more = shared.len().saturating_sub(MOST_OVERLAPS);
+    for ((a, b), count) in shared.into_iter().take(MOST_OVERLAPS) {
         let (a, b) = (a as usize, b as usize);
         let message = format!(
             "handles \"{}\" and \"{}\" share {count} graph nodes; the later one holds them",
@@ -510,15 +514,26 @@ fn overlap_warnings(
         let both = [a % handles.len(), b % handles.len()];
         warnings.push(DeformerWarning::about_handles("overlapping-handles", message, both));
     }
-    for (k, hold) in holds.iter().enumerate().filter(|_| !frozen.is_empty()) {
-        let outside = hold.nodes.iter().filter(|n| frozen[**n as usize]).count();
-        if outside > 0 {
-            let message = format!(
-                "{outside} graph nodes of handle \"{}\" lie outside the region of interest and stay fixed",
-                name(k)
-            );
-            warnings.push(DeformerWarning::about_handles("handle-outside-region", message, [k]));
-        }
+    if more > 0 {
+        let message = format!("{more} more pairs of handles share graph nodes; the later one of each holds them");
+        warnings.push(DeformerWarning::about_handles("overlapping-handles", message, []));
+    }
+    let outside = |hold: &HandleConstraint| hold.nodes.iter().filter(|n| frozen[**n as usize]).count();
+    let beyond = holds.iter().enumerate().filter(|_| !frozen.is_empty());
+    let mut beyond = beyond
+        .map(|(k, hold)| (k, outside(hold)))
+        .filter(|(_, count)| *count > 0);
+    for (k, count) in beyond.by_ref().take(MOST_OVERLAPS) {
+        let message = format!(
+            "{count} graph nodes of handle \"{}\" lie outside the region of interest and stay fixed",
+            name(k)
+        );
+        warnings.push(DeformerWarning::about_handles("handle-outside-region", message, [k]));
+    }
+    let more = beyond.count();
+    if more > 0 {
+        let message = format!("nodes of {more} more handles lie outside the region of interest and stay fixed");
+        warnings.push(DeformerWarning::about_handles("handle-outside-region", message, []));
     }
     warnings
 }

@@ -226,7 +226,7 @@ impl Default for DeformerLimits {
             model: asset::Limits::default(),
             memory_bytes: 16 << 30,
             graph_bytes: None,
-            handles: 1024,
+            handles: 16_384,
         }
     }
 }
