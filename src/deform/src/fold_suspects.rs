@@ -1,7 +1,6 @@
 //! A quick look for faces that may have turned over or be stretched too far.
 //!
-//! What a shape does to a face is found in single precision, with all that depends on the rest pose alone kept from one shape to the
-//! next. A face passes where its normal is far from the turn, its stretch far from the limit and its surroundings are
+//! What a shape does to a face is found in single precision. A face passes where its normal is far from the turn, its stretch far from the limit and its surroundings are
 //! such that neither number can be wrong by that much. All others are to be looked at exactly, so that what is found in the
 //! end is what a look at each face finds.
 
@@ -23,10 +22,8 @@ const LEAST_COFACTOR: f32 = 0.05;
 const LEAST_COSINE: f32 = 0.2;
 /// Faces that one piece of work handles at least.
 const PIECE: usize = 4096;
-
-/// What a look at a shape needs of the rest pose.
-#[derive(Debug)]
-pub struct RestFaces(Vec<RestFace>);
+/// Faces whose gradients are held at a time.
+const BLOCK: usize = 1 << 16;
 
 /// A face in the rest pose; `area` is 0 where it is not judged.
 #[derive(Debug, Clone, Copy)]
@@ -74,25 +71,29 @@ impl RestFace {
 /// A vertex of a shape: the cofactors of the mean gradient around it, where its faces can be judged.
 type Cofactors = Option<Mat3>;
 
-impl RestFaces {
-    /// Those of a mesh.
-    pub fn of(mesh: &Mesh, pool: &Pool) -> Self {
-        let per_diagonal = 1.0 / mesh.bounds().diagonal();
-        let face = |t: &[u32; 3]| RestFace::of(t.map(|v| mesh.positions[v as usize]), per_diagonal);
-        Self(pool.install(|| mesh.triangles.par_iter().with_min_len(PIECE).map(face).collect()))
-    }
-
-    /// The faces, rising, that may have turned over or be stretched more than 7.8 times in a shape: among them all that have.
-    pub(crate) fn suspects(&self, mesh: &Mesh, now: &[DVec3], pool: &Pool) -> Vec<u32> {
-        let corners = |t: &[u32; 3]| t.map(|v| now[v as usize]);
-        pool.install(|| {
-            let faces = mesh.triangles.par_iter().zip(&self.0).with_min_len(PIECE);
-            let of_faces: Vec<_> = faces.map(|(t, face)| face.gradient(corners(t))).collect();
-            // By vertex the sum of the gradients by area and of the areas, NaN where a face is not judged.
-            let mut sums = vec![(Mat3::ZERO, 0.0f32); now.len()];
-            for ((t, face), of_face) in mesh.triangles.iter().zip(&self.0).zip(&of_faces) {
-                let (gradient, area) = match of_face {
-                    Some((gradient, _)) => (*gradient * face.area, face.area),
+/// The faces, rising, that may have turned over or be stretched more than 7.8 times in a shape: among them all that have.
+pub(crate) fn find_suspects(mesh: &Mesh, now: &[DVec3], pool: &Pool) -> Vec<u32> {
+    let per_diagonal = 1.0 / mesh.bounds().diagonal();
+    let corners = |shape: &[DVec3], t: &[u32; 3]| t.map(|v| shape[v as usize]);
+    pool.install(|| {
+        // By face the normals before and now, and by vertex the sum of the gradients by area and of the areas: NaN where a face is
+        // not judged.
+        let mut normals = vec![[Vec3::NAN; 2]; mesh.triangles.len()];
+        let mut sums = vec![(Mat3::ZERO, 0.0f32); now.len()];
+        let mut judged = Vec::new();
+        for (triangles, normals) in mesh.triangles.chunks(BLOCK).zip(normals.chunks_mut(BLOCK)) {
+            let faces = triangles.par_iter().with_min_len(PIECE).map(|t| {
+                let rest = RestFace::of(corners(&mesh.positions, t), per_diagonal);
+                let (gradient, normal) = rest.gradient(corners(now, t))?;
+                Some((gradient * rest.area, rest.area, [rest.inverse.row(2), normal]))
+            });
+            faces.collect_into_vec(&mut judged);
+            for ((t, own), face) in triangles.iter().zip(normals).zip(&judged) {
+                let (gradient, area) = match face {
+                    Some((gradient, area, normals)) => {
+                        *own = *normals;
+                        (*gradient, *area)
+                    }
                     None => (Mat3::ZERO, f32::NAN),
                 };
                 for &v in t {
@@ -100,24 +101,26 @@ impl RestFaces {
                     *sum = (sum.0 + gradient, sum.1 + area);
                 }
             }
-            let cofactors: Vec<Cofactors> = sums.par_iter().with_min_len(PIECE).map(cofactors).collect();
-            let passes = |t: usize| {
-                let [Some(a), Some(b), Some(c)] = mesh.triangles[t].map(|v| cofactors[v as usize]) else {
-                    return false;
-                };
-                let rest = self.0[t].inverse.row(2);
-                let looks_along = |cofactors: Mat3, normal: Vec3| {
-                    let carried = cofactors * rest;
-                    let (along, size) = (carried.dot(normal), carried.length_squared());
-                    let least = LEAST_COSINE * LEAST_COSINE * normal.length_squared();
-                    along > 0.0 && size > LEAST_COFACTOR * LEAST_COFACTOR && along * along > least * size
-                };
-                of_faces[t].is_some_and(|(_, normal)| [a, b, c].iter().all(|m| looks_along(*m, normal)))
+        }
+        let cofactors: Vec<Cofactors> = sums.par_iter().with_min_len(PIECE).map(cofactors).collect();
+        drop(sums);
+        let passes = |t: usize| {
+            let [Some(a), Some(b), Some(c)] = mesh.triangles[t].map(|v| cofactors[v as usize]) else {
+                return false;
             };
-            let all = (0..mesh.triangles.len()).into_par_iter().with_min_len(PIECE);
-            all.filter(|&t| !passes(t)).map(|t| t as u32).collect()
-        })
-    }
+            let [rest, normal] = normals[t];
+            // Comparisons with NaN are false.
+            let looks_along = |cofactors: Mat3| {
+                let carried = cofactors * rest;
+                let (along, size) = (carried.dot(normal), carried.length_squared());
+                let least = LEAST_COSINE * LEAST_COSINE * normal.length_squared();
+                along > 0.0 && size > LEAST_COFACTOR * LEAST_COFACTOR && along * along > least * size
+            };
+            [a, b, c].into_iter().all(looks_along)
+        };
+        let all = (0..mesh.triangles.len()).into_par_iter().with_min_len(PIECE);
+        all.filter(|&t| !passes(t)).map(|t| t as u32).collect()
+    })
 }
 
 fn cofactors((sum, area): &(Mat3, f32)) -> Cofactors {
@@ -144,7 +147,6 @@ mod tests {
                 .map(|p| *p * DVec3::new(1.0, sliver, 1.0) * scale)
                 .collect();
             let sheet = Mesh::build(&shape, &triangles, Weld::Exact).expect("a sheet");
-            let rest = RestFaces::of(&sheet, &pool);
             // Waves that grow until they fold and stretch the sheet everywhere.
             for (wave, few) in [(0.0, true), (0.001, true), (0.01, true), (0.03, false), (0.2, false)] {
                 let moved = |p: &DVec3| {
@@ -153,7 +155,7 @@ mod tests {
                     *p + DVec3::new(sine, sliver * libm::sin(47.0 * q.x), libm::cos(55.0 * q.y)) * (wave * scale)
                 };
                 let now: Vec<DVec3> = sheet.positions.iter().map(moved).collect();
-                let suspects = rest.suspects(&sheet, &now, &pool);
+                let suspects = find_suspects(&sheet, &now, &pool);
                 let of: Vec<DMat3> = vertex_gradients(&sheet, &now).iter().map(shading::cofactor).collect();
                 let mut bad = 0;
                 for (t, corners) in (0u32..).zip(&sheet.triangles) {

@@ -10,7 +10,7 @@
 //!
 //! Folds found, and patches around them relaxed.
 
-use crate::fold_suspects::RestFaces;
+use crate::fold_suspects::find_suspects;
 use crate::handles::system::HandleSystem;
 use glam::{DMat3, DVec3};
 use pliant_exec::pool::Pool;
@@ -32,8 +32,8 @@ const LARGEST: usize = 20_000;
 /// What lies around the vertices of a surface.
 #[derive(Debug)]
 pub struct FaceSurroundings {
-    /// Vertices.
-    adjacency: Adjacency,
+    /// Vertices, once a fold was there.
+    neighbours: OnceLock<Lists>,
     /// Triangles.
     faces: Lists,
 }
@@ -44,7 +44,7 @@ impl FaceSurroundings {
         let vertices = mesh.positions.len();
         let corners = || (0u32..).zip(&mesh.triangles).flat_map(|(t, c)| c.map(|v| (v, t)));
         Self {
-            adjacency: Adjacency::build(vertices, &mesh.triangles),
+            neighbours: OnceLock::new(),
             faces: Lists::gather(vertices, corners),
         }
     }
@@ -54,16 +54,23 @@ impl FaceSurroundings {
         self.faces.of(vertex)
     }
 
+    /// Vertices around each vertex of the mesh. Runs on the pool of the caller.
+    fn neighbours(&self, mesh: &Mesh) -> &Lists {
+        (self.neighbours).get_or_init(|| Adjacency::build(mesh.positions.len(), &mesh.triangles).neighbours)
+    }
+
     /// Bytes held on the heap.
     pub fn byte_size(&self) -> usize {
-        self.adjacency.byte_size() + self.faces.byte_size()
+        self.neighbours.get().map_or(0, Lists::byte_size) + self.faces.byte_size()
     }
 }
 
 /// A surface in which faces turned over.
 struct FoldedSurface<'a> {
     pub mesh: &'a Mesh,
-    pub around: &'a FaceSurroundings,
+    /// Triangles around each vertex, and vertices.
+    pub faces: &'a Lists,
+    pub neighbours: &'a Lists,
     pub held: &'a [bool],
     /// Stretch beyond which a face counts as bad.
     pub overstretched: f64,
@@ -110,7 +117,7 @@ impl FoldedSurface<'_> {
         for _ring in 0..=rings {
             front.retain(|&v| !std::mem::replace(&mut is_in[v as usize], true));
             all.extend_from_slice(&front);
-            let around = front.iter().flat_map(|&v| self.around.adjacency.neighbours.of(v));
+            let around = front.iter().flat_map(|&v| self.neighbours.of(v));
             front = around.copied().collect();
         }
         all.iter()
@@ -125,7 +132,7 @@ impl FoldedSurface<'_> {
             is_in[first as usize] = false;
             let (mut vertices, mut next) = (vec![first], 0);
             while next < vertices.len() {
-                for &w in self.around.adjacency.neighbours.of(vertices[next]) {
+                for &w in self.neighbours.of(vertices[next]) {
                     if std::mem::take(&mut is_in[w as usize]) {
                         vertices.push(w);
                     }
@@ -144,7 +151,7 @@ impl FoldedSurface<'_> {
     /// Faces that have a vertex or touch one that does, rising.
     fn faces_with(&self, vertices: &[u32]) -> Vec<u32> {
         let around = |vertices: &mut dyn Iterator<Item = u32>| {
-            let mut faces: Vec<u32> = vertices.flat_map(|v| self.around.faces.of(v)).copied().collect();
+            let mut faces: Vec<u32> = vertices.flat_map(|v| self.faces.of(v)).copied().collect();
             faces.sort_unstable();
             faces.dedup();
             faces
@@ -162,7 +169,7 @@ impl FoldedSurface<'_> {
 
     /// The gradient at a vertex: a sum over its triangles by area.
     pub fn gradient(&self, vertex: u32, now: &[DVec3]) -> DMat3 {
-        let faces = self.around.faces.of(vertex).iter();
+        let faces = self.faces.of(vertex).iter();
         let of = |&t: &u32| shading::area_gradient(self.corners(&self.mesh.positions, t), self.corners(now, t));
         faces.filter_map(of).fold(DMat3::ZERO, |sum, g| sum + g)
     }
@@ -193,12 +200,7 @@ impl FoldedSurface<'_> {
     /// Brings the vertices of a patch to where the gradients around have them.
     pub fn relax(&self, patch: &FoldPatch, now: &mut [DVec3]) {
         let mut nodes: Vec<u32> = patch.vertices.clone();
-        nodes.extend(
-            patch
-                .vertices
-                .iter()
-                .flat_map(|&v| self.around.adjacency.neighbours.of(v)),
-        );
+        nodes.extend(patch.vertices.iter().flat_map(|&v| self.neighbours.of(v)));
         nodes.sort_unstable();
         nodes.dedup();
         let gradients = self.smooth_gradients(&nodes, patch.rings * SMOOTHING, now);
@@ -209,7 +211,7 @@ impl FoldedSurface<'_> {
             .iter()
             .map(|&v| {
                 let own = at(v);
-                let around = self.around.adjacency.neighbours.of(v).iter();
+                let around = self.neighbours.of(v).iter();
                 let edge = |&w: &u32| {
                     let edge = rest[v as usize] - rest[w as usize];
                     let asked = (own + at(w)) * edge * 0.5;
@@ -245,7 +247,7 @@ impl FoldedSurface<'_> {
             .map(|&v| {
                 let cofactor = shading::cofactor(&self.gradient(v, now));
                 let (mut sum, mut areas) = (DMat3::ZERO, 0.0);
-                for &t in self.around.faces.of(v) {
+                for &t in self.faces.of(v) {
                     let [p, q] = [&self.mesh.positions[..], now].map(|shape| self.corners(shape, t));
                     let is_bad = is_turned_over(p, q, [&cofactor; 3])
                         || largest_stretch(p, q).is_none_or(|s| s > self.overstretched / 4.0);
@@ -259,15 +261,7 @@ impl FoldedSurface<'_> {
             .collect();
         let around: Vec<Vec<usize>> = nodes
             .iter()
-            .map(|&v| {
-                self.around
-                    .adjacency
-                    .neighbours
-                    .of(v)
-                    .iter()
-                    .filter_map(|&w| number(w))
-                    .collect()
-            })
+            .map(|&v| self.neighbours.of(v).iter().filter_map(|&w| number(w)).collect())
             .collect();
         for _time in 0..times {
             let averaged = |(k, own): (usize, &(DMat3, f64))| {
@@ -333,11 +327,9 @@ pub fn unfold_vertices(
     changes
 }
 
-/// As [`unfold_faces`] for those who do not need what the shape does to every face; positions agree bit for bit. Nearly all that it
-/// takes depends on the rest pose alone, and stays in `rest`.
+/// As [`unfold_faces`] for those who do not need what the shape does to every face; positions agree bit for bit.
 pub fn unfold_suspects(
     mesh: &Mesh,
-    rest: &OnceLock<RestFaces>,
     surroundings: &OnceLock<FaceSurroundings>,
     handles: &HandleSystem,
     positions: &mut [DVec3],
@@ -345,7 +337,7 @@ pub fn unfold_suspects(
 ) {
     let vertices = mesh.positions.len();
     let (held, now) = (&handles.held_nodes()[..vertices], &mut positions[..vertices]);
-    let suspects = rest.get_or_init(|| RestFaces::of(mesh, pool)).suspects(mesh, now, pool);
+    let suspects = find_suspects(mesh, now, pool);
     if suspects.len() > mesh.triangles.len() / FEW {
         unfold_vertices(mesh, surroundings, held, now, pool);
     } else if !suspects.is_empty() {
@@ -392,9 +384,14 @@ impl FoldSearch for KnownFolds {
 
 impl<'a> FoldedSurface<'a> {
     fn of(mesh: &'a Mesh, surroundings: &'a OnceLock<FaceSurroundings>, held: &'a [bool], pool: &Pool) -> Self {
+        let (faces, neighbours) = pool.install(|| {
+            let around = surroundings.get_or_init(|| FaceSurroundings::of(mesh));
+            (&around.faces, around.neighbours(mesh))
+        });
         Self {
             mesh,
-            around: surroundings.get_or_init(|| pool.install(|| FaceSurroundings::of(mesh))),
+            faces,
+            neighbours,
             held,
             overstretched: OVERSTRETCHED,
         }
@@ -519,7 +516,7 @@ mod tests {
     fn unfold(sheet: &Mesh, held: &[bool], now: &mut [DVec3], threads: usize) {
         let pool = Pool::new(threads).expect("threads");
         let mut quickly = now.to_vec();
-        let suspects = RestFaces::of(sheet, &pool).suspects(sheet, now, &pool);
+        let suspects = find_suspects(sheet, now, &pool);
         let surroundings = OnceLock::new();
         let surface = FoldedSurface::of(sheet, &surroundings, held, &pool);
         let mut folds = KnownFolds::default();

@@ -100,7 +100,6 @@ pub use contact::{
 pub use error::Error;
 pub use fields::{HarmonicFields, MOST_WHOLE_FIELDS};
 pub use first_pass::{LocalFrame, LocalRotation, PoseBlend, frames, pack_rotation};
-pub use fold_suspects::RestFaces;
 pub use folds::{FaceChanges, FaceSurroundings, unfold_faces, unfold_suspects, unfold_vertices};
 pub use guides::{BoundGuide, Guide, GuidePose, GuideProblem};
 pub use handles::{

@@ -79,6 +79,7 @@ impl Mesh {
                 solver_from_render[v] = solver_from_render[r as usize];
             }
         }
+        solver_positions.shrink_to_fit();
         let render_from_solver = Lists::gather(solver_positions.len(), || {
             solver_from_render
                 .iter()

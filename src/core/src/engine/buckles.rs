@@ -13,8 +13,8 @@ use super::handle::{Falloff, FalloffCurve};
 use super::resolved_handles::fading_weights;
 use super::settings::SolveSettings;
 use crate::deform::{
-    FaceSurroundings, FreeSurface, HandleSystem, LocalRotation, PoseRequest, Quality, RestFaces, SolveState,
-    SolvedNodes, SurfaceFaults, TurnChange, TurnChangeKind, VolumeScales, unfold_suspects,
+    FaceSurroundings, FreeSurface, HandleSystem, LocalRotation, PoseRequest, Quality, SolveState, SolvedNodes,
+    SurfaceFaults, TurnChange, TurnChangeKind, VolumeScales, unfold_suspects,
 };
 use crate::exec::Exec;
 use crate::mesh::{Mesh, signed_volume, surface_area};
@@ -41,7 +41,6 @@ pub(super) struct BuckleWatch<'a> {
     request: PoseRequest<'a>,
     /// Found where they are first asked for. They are not kept, so that what a session takes does not depend on what was solved.
     surroundings: OnceLock<FaceSurroundings>,
-    rest: OnceLock<RestFaces>,
     exec: &'a Exec<'a>,
 }
 
@@ -78,7 +77,6 @@ impl<'a> BuckleWatch<'a> {
             handles,
             request,
             surroundings: OnceLock::new(),
-            rest: OnceLock::new(),
             exec,
         }
     }
@@ -88,7 +86,6 @@ impl<'a> BuckleWatch<'a> {
         self.exec.progress.begin_pass("unfold");
         unfold_suspects(
             &self.derived.mesh,
-            &self.rest,
             &self.surroundings,
             self.handles,
             &mut solved.positions,
@@ -197,6 +194,7 @@ impl<'a> BuckleWatch<'a> {
         let solved = self
             .handles
             .solve(&self.derived.body, &request, state, self.exec, &mut |_| true)?;
+        state.release_start();
         Ok(PlainPose {
             solved: Some(solved),
             finished: None,

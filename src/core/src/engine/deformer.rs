@@ -95,6 +95,9 @@ impl Deformer {
         limits: &DeformerLimits,
         exec: &Exec<'_>,
     ) -> Result<Self, Error> {
+        // Readers do not know how many there will be; the session keeps them as long as it lives.
+        model.geometry.positions.shrink_to_fit();
+        model.geometry.triangles.shrink_to_fit();
         mark_passengers(&mut model.geometry.primitives, &options.passengers)?;
         check_rigid_chains(&model, &options.following.bone_lengths)?;
         let riding_nodes = Arc::new(RidingNodes::find(&model, &options.passengers)?);

@@ -192,6 +192,7 @@ impl Deformer {
             SolveMode::Anew => part_surfaces(derived, handle_system, contact, places, exec)?,
             SolveMode::Commit if settings.method == Method::SpatialRbf => {}
             SolveMode::Commit => {
+                state.release_start();
                 let watch = BuckleWatch::of(derived, handle_system, request, exec);
                 solved = watch.finished_commit(solved, settings, state)?;
             }

@@ -87,6 +87,9 @@ impl PoseSolve<'_> {
         }
         exec.progress.begin_pass("store");
         store(posed, state, exec.pool);
+        if !is_warm {
+            state.release_start();
+        }
         Ok(stats)
     }
 

@@ -137,7 +137,7 @@ fn smoothed(
             sum += w;
             match place[other] {
                 u32::MAX => (0..4).for_each(|c| given[c] += w * f64::from(all[other][c])),
-                k => system.entries.push((k, w)),
+                k => system.entries.push((k, w as f32)),
             }
         }
         let keep = sum * (1.0 - own) / own;
@@ -162,7 +162,8 @@ fn smoothed(
 struct SmoothingRows {
     /// Where the entries of each row end.
     first: Vec<usize>,
-    entries: Vec<(u32, f64)>,
+    /// Weights of edges have single precision.
+    entries: Vec<(u32, f32)>,
     diagonal: Vec<f64>,
     given: Vec<[f64; 4]>,
 }
@@ -173,7 +174,7 @@ impl SmoothingRows {
         for (row, out) in out.iter_mut().enumerate() {
             let mut sum = x[row].map(|v| v * self.diagonal[row]);
             for &(k, w) in &self.entries[begin..self.first[row]] {
-                (0..4).for_each(|c| sum[c] -= w * x[k as usize][c]);
+                (0..4).for_each(|c| sum[c] -= f64::from(w) * x[k as usize][c]);
             }
             begin = self.first[row];
             *out = sum;
@@ -181,23 +182,23 @@ impl SmoothingRows {
     }
 
     /// Conjugate gradients, preconditioned by the diagonal, in the order of the rows.
-    fn solve(&self, x: &mut [[f64; 4]]) {
+    fn solve(mut self, x: &mut [[f64; 4]]) {
         let dot = |a: &[[f64; 4]], b: &[[f64; 4]]| -> f64 {
             a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| a * b).sum()
         };
-        let divided =
-            |r: &[[f64; 4]]| -> Vec<[f64; 4]> { r.iter().zip(&self.diagonal).map(|(r, d)| r.map(|v| v / d)).collect() };
+        // The product of a residual with the preconditioned one, which is nowhere kept.
+        let preconditioned = |r: &[[f64; 4]]| -> f64 {
+            let rows = r.iter().zip(&self.diagonal);
+            rows.flat_map(|(r, d)| r.map(|v| v * (v / d))).sum()
+        };
         let mut product = vec![[0.0; 4]; x.len()];
         self.times(x, &mut product);
-        let mut r: Vec<[f64; 4]> = self
-            .given
-            .iter()
-            .zip(&product)
-            .map(|(b, a)| std::array::from_fn(|c| b[c] - a[c]))
-            .collect();
-        let mut z = divided(&r);
-        let mut p = z.clone();
-        let mut rz = dot(&r, &z);
+        let mut r = std::mem::take(&mut self.given);
+        for (r, a) in r.iter_mut().zip(&product) {
+            (0..4).for_each(|c| r[c] -= a[c]);
+        }
+        let mut p: Vec<[f64; 4]> = r.iter().zip(&self.diagonal).map(|(r, d)| r.map(|v| v / d)).collect();
+        let mut rz = preconditioned(&r);
         let enough = SMOOTH_ENOUGH * SMOOTH_ENOUGH * rz;
         for _ in 0..MOST_STEPS {
             if rz <= enough || rz <= 0.0 {
@@ -211,13 +212,12 @@ impl SmoothingRows {
                     r[c] -= step * a[c];
                 });
             }
-            z = divided(&r);
-            let next = dot(&r, &z);
+            let next = preconditioned(&r);
             let share = next / rz;
             rz = next;
-            p.iter_mut()
-                .zip(&z)
-                .for_each(|(p, z)| (0..4).for_each(|c| p[c] = z[c] + share * p[c]));
+            for ((p, r), d) in p.iter_mut().zip(&r).zip(&self.diagonal) {
+                (0..4).for_each(|c| p[c] = r[c] / d + share * p[c]);
+            }
         }
     }
 }
