@@ -76,6 +76,16 @@ fn fits_schema(checker: &Path, version: &str, file: &Path) -> Result<(), String>
     }
 }
 
+/// Whether manifests fit the schemas of all versions; `None` where these cannot be had.
+pub(super) fn fits_kubernetes(file: &Path) -> Option<Result<(), String>> {
+    let checker = schema_checker()?;
+    Some(
+        VERSIONS
+            .iter()
+            .try_for_each(|version| fits_schema(&checker, version, file)),
+    )
+}
+
 #[test]
 fn manifests_fit_the_schemas_of_kubernetes() {
     let checker = needed!(schema_checker());

@@ -3,6 +3,7 @@
 mod agents;
 mod avatars;
 mod cluster;
+mod containers;
 mod monitoring;
 mod node;
 mod packages;

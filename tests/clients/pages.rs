@@ -15,9 +15,10 @@ use std::path::Path;
 use std::process::Command;
 
 /// Every page for users that has no test of its own.
-const PAGES: [&str; 29] = [
+const PAGES: [&str; 30] = [
     "README.md",
     "CONTRIBUTING.md",
+    "SECURITY.md",
     "deploy/README.md",
     "deploy/docs/agents.md",
     "deploy/docs/animation.md",

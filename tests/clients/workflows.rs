@@ -10,6 +10,7 @@ use serde_json::json;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::{Mutex, PoisonError};
 
 /// Holds files against schemas that it brings along (PyPI).
 const SCHEMAS: &str = "check-jsonschema==0.39.0";
@@ -55,12 +56,15 @@ pub(super) fn fetched(command: &mut Command) -> Option<()> {
 }
 
 /// The program that holds files against schemas.
-fn schema_checker() -> Option<PathBuf> {
+pub(super) fn schema_checker() -> Option<PathBuf> {
     program_of_package("workflow-schemas", &[SCHEMAS], "check-jsonschema")
 }
 
 /// A program of Python packages, in an environment of its own under `target/` that is made where it is not there yet.
 pub(super) fn program_of_package(environment: &str, packages: &[&str], program: &str) -> Option<PathBuf> {
+    /// Tests run side by side, and several use one environment.
+    static MAKING: Mutex<()> = Mutex::new(());
+    let _alone = MAKING.lock().unwrap_or_else(PoisonError::into_inner);
     let home = root().join("target").join(environment);
     let program = home.join("bin").join(program);
     let stamp = home.join("stamp");
@@ -74,7 +78,7 @@ pub(super) fn program_of_package(environment: &str, packages: &[&str], program: 
     Some(program)
 }
 
-fn fits_schema(checker: &Path, schema: &[&str], file: &Path) -> Result<(), String> {
+pub(super) fn fits_schema(checker: &Path, schema: &[&str], file: &Path) -> Result<(), String> {
     let done = Command::new(checker).args(schema).arg(file).output().expect("it runs");
     match done.status.success() {
         true => Ok(()),
