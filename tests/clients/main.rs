@@ -4,6 +4,7 @@ mod agents;
 mod avatars;
 mod cluster;
 mod containers;
+mod languages;
 mod monitoring;
 mod node;
 mod packages;

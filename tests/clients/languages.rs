@@ -1,0 +1,129 @@
+//! The packages for C++ and C#: compiled from the one schema by the commands of their pages, and run against the real server. What is not
+//! installed or cannot be fetched here is said and skipped.
+
+use crate::python::{assert_bent, positions};
+use crate::support::book;
+use crate::support::process::{file_of_repository, root, said, show};
+use crate::support::program::ServedProgram;
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+/// Ends a build that lacks what it fetches.
+const CANNOT_FETCH: i32 = 75;
+
+/// The commands that a page leaves to this test.
+fn commands(page: &str) -> Vec<String> {
+    let blocks = book::blocks(&file_of_repository(page));
+    let own = blocks
+        .iter()
+        .filter(|block| block.word("by") == Some("tests/clients/languages.rs"));
+    own.flat_map(|block| block.text.lines()).map(str::to_owned).collect()
+}
+
+fn has(program: &str) -> bool {
+    let asked = Command::new("sh")
+        .args(["-c", &format!("command -v {program}")])
+        .output();
+    asked.is_ok_and(|done| done.status.success())
+}
+
+/// The last command of a page as a program and its words, after the others have built it; `None` where that cannot be done here.
+fn built(page: &str, first: &str, needed: &[&str]) -> Option<Vec<String>> {
+    for program in needed {
+        if !has(program) {
+            show(&format!("SKIPPED: {page}: {program} is not installed"));
+            return None;
+        }
+    }
+    let mut commands = commands(page);
+    assert!(commands[0].starts_with(first), "{page}: {commands:?}");
+    let run = commands.pop().expect("the page runs its example");
+    for command in commands {
+        let done = Command::new("bash")
+            .args(["-c", &command])
+            .current_dir(root())
+            .output()
+            .expect("bash runs");
+        let reply = said(&done);
+        if done.status.code() == Some(CANNOT_FETCH) {
+            show(&format!("SKIPPED: {page}: {}", reply.trim()));
+            return None;
+        }
+        assert!(done.status.success(), "`{command}` of {page}: {reply}");
+    }
+    Some(run.split_whitespace().map(str::to_owned).collect())
+}
+
+/// The example with other words in place of the page's address, model and output.
+fn example(run: &[String], words: [&str; 3], token: Option<&str>) -> Output {
+    let mut command = Command::new(&run[0]);
+    command
+        .args(&run[1..run.len() - 3])
+        .args(words)
+        .current_dir(root())
+        .env_remove("PLIANT_TOKEN");
+    command
+        .envs(token.map(|token| ("PLIANT_TOKEN", token)))
+        .output()
+        .expect("the example runs")
+}
+
+/// Runs the example as a user would, and wrongly.
+fn drags_commits_edits_and_exports(page: &str, first: &str, needed: &[&str]) {
+    let Some(run) = built(page, first, needed) else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
+    let made = Command::new(env!("CARGO_BIN_EXE_pliant"))
+        .args(["sample", "creature", "-o", &at("creature.glb")])
+        .output();
+    assert!(made.expect("it runs").status.success());
+    let token = Command::new(env!("CARGO_BIN_EXE_pliant"))
+        .args(["token", "studio"])
+        .output();
+    let token = String::from_utf8(token.expect("it runs").stdout).expect("UTF-8");
+    let (token, lines) = token.split_once('\n').expect("a token and its lines");
+    fs::write(at("config.toml"), lines).expect("written");
+    let server = ServedProgram::start_in_memory(at("log").into(), &["--config", &at("config.toml")]);
+
+    let good = [server.url.as_str(), &at("creature.glb"), &at("bent.glb")];
+    let done = example(&run, good, Some(token));
+    let reply = said(&done);
+    assert!(done.status.success(), "{page}: {reply}\n{}", server.log());
+    for line in ["8628 vertices", "0 triangles flipped", "the cut: 17252 faces become "] {
+        assert!(reply.contains(line), "{page}: {line}: {reply}");
+    }
+    assert_bent(&positions(Path::new(good[1])), &positions(Path::new(good[2])));
+
+    for (words, token, reason) in [
+        (good, None, "token"),
+        (
+            [good[0], &at("config.toml"), good[2]],
+            Some(token),
+            "allowed are glb, gltf, obj",
+        ),
+        (
+            [server.url.trim_start_matches("http://"), good[1], good[2]],
+            Some(token),
+            "is not an address such as http://",
+        ),
+        (["http://127.0.0.1:1", good[1], good[2]], Some(token), "127.0.0.1:1"),
+    ] {
+        let done = example(&run, words, token);
+        assert_eq!(done.status.code(), Some(1), "{page}: {words:?}: {}", said(&done));
+        assert!(said(&done).contains(reason), "{page}: {reason}: {}", said(&done));
+    }
+}
+
+#[test]
+fn the_cpp_package_is_built_from_the_schema_and_works() {
+    let needed = ["cmake", "g++", "protoc", "grpc_cpp_plugin", "pkg-config"];
+    drags_commits_edits_and_exports("proto/clients/cpp/README.md", "cmake -S proto/clients/cpp", &needed);
+}
+
+#[test]
+fn the_csharp_package_is_built_from_the_schema_and_works() {
+    let needed = ["mcs", "mono", "protoc", "apt-get"];
+    let first = "bash tests/clients/csharp/build target/csharp";
+    drags_commits_edits_and_exports("proto/clients/csharp/README.md", first, &needed);
+}
