@@ -28,23 +28,32 @@ fn has(program: &str) -> bool {
     asked.is_ok_and(|done| done.status.success())
 }
 
-/// The last command of a page as a program and its words, after the others have built it; `None` where that cannot be done here.
-fn built(page: &str, first: &str, needed: &[&str]) -> Option<Vec<String>> {
-    for program in needed {
+/// A package and how it is tried.
+struct Package {
+    page: &'static str,
+    /// How the page's commands begin.
+    first: &'static str,
+    /// Programs without which it cannot be built.
+    needed: &'static [&'static str],
+    /// Runs what the example does not show, with an address, a model and a token behind it.
+    checks: &'static str,
+}
+
+/// The last command of the page as a program and its words, after the others have built it; `None` where that cannot be done here.
+fn built(package: &Package) -> Option<Vec<String>> {
+    let page = package.page;
+    for program in package.needed {
         if !has(program) {
             show(&format!("SKIPPED: {page}: {program} is not installed"));
             return None;
         }
     }
     let mut commands = commands(page);
-    assert!(commands[0].starts_with(first), "{page}: {commands:?}");
+    assert!(commands[0].starts_with(package.first), "{page}: {commands:?}");
     let run = commands.pop().expect("the page runs its example");
     for command in commands {
-        let done = Command::new("bash")
-            .args(["-c", &command])
-            .current_dir(root())
-            .output()
-            .expect("bash runs");
+        let done = Command::new("bash").args(["-c", &command]).current_dir(root()).output();
+        let done = done.expect("bash runs");
         let reply = said(&done);
         if done.status.code() == Some(CANNOT_FETCH) {
             show(&format!("SKIPPED: {page}: {}", reply.trim()));
@@ -69,9 +78,10 @@ fn example(run: &[String], words: [&str; 3], token: Option<&str>) -> Output {
         .expect("the example runs")
 }
 
-/// Runs the example as a user would, and wrongly.
-fn drags_commits_edits_and_exports(page: &str, first: &str, needed: &[&str]) {
-    let Some(run) = built(page, first, needed) else { return };
+/// Runs the example as a user would, and wrongly, and then what it does not show.
+fn works(package: &Package) {
+    let Some(run) = built(package) else { return };
+    let page = package.page;
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
     let made = Command::new(env!("CARGO_BIN_EXE_pliant"))
@@ -113,17 +123,43 @@ fn drags_commits_edits_and_exports(page: &str, first: &str, needed: &[&str]) {
         assert_eq!(done.status.code(), Some(1), "{page}: {words:?}: {}", said(&done));
         assert!(said(&done).contains(reason), "{page}: {reason}: {}", said(&done));
     }
+    let checks = Command::new("bash")
+        .args([
+            "-c",
+            &format!("{} \"$@\"", package.checks),
+            "checks",
+            good[0],
+            good[1],
+            token,
+        ])
+        .current_dir(root())
+        .output()
+        .expect("bash runs");
+    let reply = said(&checks);
+    assert!(checks.status.success(), "{page}: {reply}\n{}", server.log());
+    assert!(
+        reply.lines().filter(|line| line.starts_with("right: ")).count() >= 14,
+        "{page}: {reply}"
+    );
 }
 
 #[test]
 fn the_cpp_package_is_built_from_the_schema_and_works() {
-    let needed = ["cmake", "g++", "protoc", "grpc_cpp_plugin", "pkg-config"];
-    drags_commits_edits_and_exports("proto/clients/cpp/README.md", "cmake -S proto/clients/cpp", &needed);
+    works(&Package {
+        page: "proto/clients/cpp/README.md",
+        first: "cmake -S proto/clients/cpp",
+        needed: &["cmake", "g++", "protoc", "grpc_cpp_plugin", "pkg-config"],
+        checks: "g++ -std=c++17 -Wall -Wextra -Werror -I proto/clients/cpp/include -isystem target/cpp/generated tests/clients/cpp/checks.cpp \
+                 target/cpp/libpliant_client.a $(pkg-config --cflags --libs grpc++ protobuf) -pthread -o target/cpp/checks && target/cpp/checks",
+    });
 }
 
 #[test]
 fn the_csharp_package_is_built_from_the_schema_and_works() {
-    let needed = ["mcs", "mono", "protoc", "apt-get"];
-    let first = "bash tests/clients/csharp/build target/csharp";
-    drags_commits_edits_and_exports("proto/clients/csharp/README.md", first, &needed);
+    works(&Package {
+        page: "proto/clients/csharp/README.md",
+        first: "bash tests/clients/csharp/build target/csharp",
+        needed: &["mcs", "mono", "protoc", "apt-get"],
+        checks: "mono target/csharp/Checks.exe",
+    });
 }
