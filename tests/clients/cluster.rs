@@ -220,9 +220,9 @@ async fn probes_and_variables_name_what_the_server_has() {
     );
 }
 
-/// Bytes of a size, as the configuration and Kubernetes write them.
-fn bytes(size: &str) -> u64 {
-    let gib = size.strip_suffix("GiB").or_else(|| size.strip_suffix("Gi"));
+/// Bytes of a size, as the configuration, Kubernetes and compose write them.
+pub(super) fn bytes(size: &str) -> u64 {
+    let gib = ["GiB", "Gi", "g"].iter().find_map(|unit| size.strip_suffix(unit));
     gib.and_then(|n| n.parse::<u64>().ok())
         .unwrap_or_else(|| panic!("{size}"))
         << 30

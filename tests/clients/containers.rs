@@ -1,12 +1,12 @@
 //! The compose files and the Helm chart of `deploy`: they fit the schemas of those who read them, Helm itself renders the chart, and what
 //! they set starts the real server. What cannot be fetched or is not installed here is said and skipped.
 
-use crate::cluster::fits_kubernetes;
+use crate::cluster::{bytes, fits_kubernetes};
 use crate::support::certificates::{Authority, Files};
 use crate::support::postgres::PostgresServer;
 use crate::support::process::needed;
 use crate::support::process::{file_of_repository, root, said};
-use crate::support::program::ServedProgram;
+use crate::support::program::{ServedProgram, new_token};
 use crate::workflows::{fits_schema, program_of_package, schema_checker};
 use serde_json::{Value, json};
 use std::fs;
@@ -113,25 +113,6 @@ fn start(whole: &Value, config: &Path, places: &[(&str, &str)]) -> Result<Served
     Ok(server)
 }
 
-/// A token and the lines of the configuration that admit it.
-fn token() -> (String, String) {
-    let made = Command::new(env!("CARGO_BIN_EXE_pliant"))
-        .args(["token", "studio"])
-        .output();
-    let made = String::from_utf8(made.expect("a token").stdout).expect("UTF-8");
-    let (token, lines) = made.split_once('\n').expect("a token and its lines");
-    (token.to_owned(), lines.to_owned())
-}
-
-/// Bytes of a size, as the configuration, compose and Kubernetes write them.
-fn bytes(size: &str) -> u64 {
-    let gib = size
-        .trim_end_matches("GiB")
-        .trim_end_matches("Gi")
-        .trim_end_matches('g');
-    gib.parse::<u64>().unwrap_or_else(|e| panic!("{size}: {e}")) << 30
-}
-
 fn seconds(time: &str) -> u64 {
     time.trim_end_matches('s')
         .parse()
@@ -152,7 +133,7 @@ async fn what_compose_sets_starts_the_server_and_its_sessions_stay() {
     let refused = start(&whole, &config, &places).err().expect("the file names no caller");
     assert!(refused.contains("pliant token"), "{refused}");
 
-    let (token, lines) = token();
+    let (token, lines) = new_token();
     fs::write(&config, lines).expect("written");
     let mut server = start(&whole, &config, &places).expect("it starts");
     let opened = server.post("/v1/sessions?sample=creature").bearer_auth(&token);
@@ -187,7 +168,7 @@ async fn compose_with_tls_answers_to_its_certificate() {
     let reader = needed!(reader());
     let folder = tempfile::tempdir().expect("a folder");
     let config = folder.path().join("pliant.toml");
-    fs::write(&config, token().1).expect("written");
+    fs::write(&config, new_token().1).expect("written");
     let files = Files::new(&Authority::new("authority").server(1));
     for (from, to) in [("server.pem", "certificate.pem"), ("server.key", "key.pem")] {
         fs::copy(files.path(from), folder.path().join(to)).expect("copied");
@@ -210,7 +191,7 @@ async fn compose_with_postgres_keeps_sessions_in_its_database() {
     let database = postgres.database().await;
     let folder = tempfile::tempdir().expect("a folder");
     let config = folder.path().join("pliant.toml");
-    let (token, lines) = token();
+    let (token, lines) = new_token();
     fs::write(&config, lines).expect("written");
     let whole = composed(&reader, &[COMPOSE[0], COMPOSE[2]]);
     let other = &whole["services"]["database"]["environment"];
@@ -362,7 +343,7 @@ async fn the_configuration_of_the_chart_starts_with_a_token() {
         ServedProgram::start_anywhere(log.clone(), &words, &variables)
     };
     assert!(start(&text).err().expect("nobody may call").contains("pliant token"));
-    start(&format!("{text}\n{}", token().1))
+    start(&format!("{text}\n{}", new_token().1))
         .expect("it starts")
         .ask_to_stop();
     let limit = pod["containers"][0]["resources"]["limits"]["memory"]

@@ -1,10 +1,11 @@
 //! The packages for C++ and C#: compiled from the one schema by the commands of their pages, and run against the real server. What is not
 //! installed or cannot be fetched here is said and skipped.
 
+use crate::pages::checkout::has;
 use crate::python::{assert_bent, positions};
 use crate::support::book;
 use crate::support::process::{file_of_repository, root, said, show};
-use crate::support::program::ServedProgram;
+use crate::support::program::{ServedProgram, new_token};
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
@@ -19,13 +20,6 @@ fn commands(page: &str) -> Vec<String> {
         .iter()
         .filter(|block| block.word("by") == Some("tests/clients/languages.rs"));
     own.flat_map(|block| block.text.lines()).map(str::to_owned).collect()
-}
-
-fn has(program: &str) -> bool {
-    let asked = Command::new("sh")
-        .args(["-c", &format!("command -v {program}")])
-        .output();
-    asked.is_ok_and(|done| done.status.success())
 }
 
 /// A package and how it is tried.
@@ -88,11 +82,8 @@ fn works(package: &Package) {
         .args(["sample", "creature", "-o", &at("creature.glb")])
         .output();
     assert!(made.expect("it runs").status.success());
-    let token = Command::new(env!("CARGO_BIN_EXE_pliant"))
-        .args(["token", "studio"])
-        .output();
-    let token = String::from_utf8(token.expect("it runs").stdout).expect("UTF-8");
-    let (token, lines) = token.split_once('\n').expect("a token and its lines");
+    let (token, lines) = new_token();
+    let token = token.as_str();
     fs::write(at("config.toml"), lines).expect("written");
     let server = ServedProgram::start_in_memory(at("log").into(), &["--config", &at("config.toml")]);
 

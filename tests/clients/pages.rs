@@ -7,7 +7,7 @@
 
 use crate::support::book;
 use crate::support::process::{root, show};
-mod checkout;
+pub(super) mod checkout;
 
 use checkout::{Checkout, Played};
 use std::fs;
