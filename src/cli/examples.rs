@@ -42,6 +42,7 @@ pub(super) const CHECK: &str = "\
 Examples:
   pliant check suite                                  compare every case with its golden
   pliant check suite --html report.html --junit report.xml
+  pliant check suite --new bend --model models/bar.obj --job jobs/bend.json
   pliant check suite --bless                          store the results as goldens
   pliant check suite --case bend --case 'twist*'      only these cases
   pliant check suite --shard 3/8 --report shards/3.json

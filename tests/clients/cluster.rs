@@ -76,6 +76,16 @@ fn fits_schema(checker: &Path, version: &str, file: &Path) -> Result<(), String>
     }
 }
 
+/// Whether manifests fit the schemas of all versions; `None` where these cannot be had.
+pub(super) fn fits_kubernetes(file: &Path) -> Option<Result<(), String>> {
+    let checker = schema_checker()?;
+    Some(
+        VERSIONS
+            .iter()
+            .try_for_each(|version| fits_schema(&checker, version, file)),
+    )
+}
+
 #[test]
 fn manifests_fit_the_schemas_of_kubernetes() {
     let checker = needed!(schema_checker());
@@ -210,9 +220,9 @@ async fn probes_and_variables_name_what_the_server_has() {
     );
 }
 
-/// Bytes of a size, as the configuration and Kubernetes write them.
-fn bytes(size: &str) -> u64 {
-    let gib = size.strip_suffix("GiB").or_else(|| size.strip_suffix("Gi"));
+/// Bytes of a size, as the configuration, Kubernetes and compose write them.
+pub(super) fn bytes(size: &str) -> u64 {
+    let gib = ["GiB", "Gi", "g"].iter().find_map(|unit| size.strip_suffix(unit));
     gib.and_then(|n| n.parse::<u64>().ok())
         .unwrap_or_else(|| panic!("{size}"))
         << 30

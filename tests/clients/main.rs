@@ -3,6 +3,8 @@
 mod agents;
 mod avatars;
 mod cluster;
+mod containers;
+mod languages;
 mod monitoring;
 mod node;
 mod packages;

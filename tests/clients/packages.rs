@@ -6,8 +6,10 @@
 use crate::node::lacks_node;
 use crate::support::process::needed;
 use crate::support::process::{is_npm_offline, root, said, show};
+use crate::workflows::program_of_package;
+use serde_json::Value;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 fn is_unreachable(said: &str) -> bool {
@@ -20,16 +22,17 @@ fn is_unreachable(said: &str) -> bool {
     is_npm_offline(said) || signs.iter().any(|sign| said.contains(sign))
 }
 
-/// Makes wheels and tarball; `None` where that cannot be done here.
-fn release(out: &Path) -> Option<()> {
+/// Makes the files of a release around a program; `None` where that cannot be done here.
+fn release(program: &Path, out: &Path) -> Option<()> {
     let mut command = Command::new("python3");
-    command
-        .arg(root().join("deploy/release"))
-        .args(["--dirty", "--only", "wheel,npm"]);
-    command
-        .args(["--program", env!("CARGO_BIN_EXE_pliant")])
-        .arg("-o")
-        .arg(out);
+    command.arg(root().join("deploy/release")).args([
+        "--dirty",
+        "--xz",
+        "0",
+        "--only",
+        "wheel,npm,archive,image,chart",
+    ]);
+    command.arg("--program").arg(program).arg("-o").arg(out);
     let Ok(made) = command.output() else {
         show("SKIPPED: python3 is not installed");
         return None;
@@ -49,7 +52,17 @@ fn packages_work_where_nothing_else_is() {
     let place = tempfile::tempdir().expect("a folder");
     let out = place.path().join("files");
     let _alone = crate::hold_typescript_package();
-    if release(&out).is_none() {
+    // What a debugger needs is two thirds of the program.
+    let program = place.path().join("pliant");
+    let stripped = Command::new("strip")
+        .arg("-o")
+        .arg(&program)
+        .arg(env!("CARGO_BIN_EXE_pliant"))
+        .status();
+    if !stripped.is_ok_and(|status| status.success()) {
+        fs::copy(env!("CARGO_BIN_EXE_pliant"), &program).expect("copied");
+    }
+    if release(&program, &out).is_none() {
         return;
     }
     let sums = fs::read_to_string(out.join("SHA256SUMS")).expect("sums");
@@ -61,6 +74,9 @@ fn packages_work_where_nothing_else_is() {
         sums.lines().count() >= 5 && sums.contains("THIRD-PARTY-LICENCES.txt") && sums.contains(".cdx.json"),
         "{sums}"
     );
+    checksums_and_provenance_name_every_file(&out, &sums);
+    contents_fit_cyclonedx(&out);
+    runs_on_a_bare_root(&out);
     let licences = fs::read_to_string(out.join("THIRD-PARTY-LICENCES.txt")).expect("licences");
     assert!(
         licences.contains("tokio 1.") && licences.contains("MIT License"),
@@ -84,6 +100,110 @@ fn packages_work_where_nothing_else_is() {
     }
     for line in reply.lines().filter(|line| line.ends_with(" s")) {
         show(line);
+    }
+}
+
+/// The one file of a release whose name ends so.
+fn file_of(out: &Path, ending: &str) -> PathBuf {
+    let mut files = fs::read_dir(out)
+        .expect("files")
+        .map(|entry| entry.expect("an entry").path());
+    let found = files.find(|path| path.to_string_lossy().ends_with(ending));
+    found.unwrap_or_else(|| panic!("there is no {ending}"))
+}
+
+fn checksums_and_provenance_name_every_file(out: &Path, sums: &str) {
+    let done = Command::new("sha256sum")
+        .args(["--check", "--strict", "--quiet", "SHA256SUMS"])
+        .current_dir(out)
+        .output();
+    let done = done.expect("sha256sum runs");
+    assert!(done.status.success(), "{}", said(&done));
+    let statement: Value =
+        serde_json::from_str(&fs::read_to_string(file_of(out, ".provenance.json")).expect("a file")).expect("JSON");
+    let mut made: Vec<String> = statement["subject"]
+        .as_array()
+        .expect("files")
+        .iter()
+        .map(|file| format!("{}  {}", text(&file["digest"]["sha256"]), text(&file["name"])))
+        .collect();
+    made.extend(
+        sums.lines()
+            .filter(|line| line.ends_with(".provenance.json"))
+            .map(str::to_owned),
+    );
+    made.sort();
+    let mut summed: Vec<&str> = sums.lines().collect();
+    summed.sort_unstable();
+    assert_eq!(made, summed, "the statement is of the files that the checksums are of");
+    let names = fs::read_dir(out).expect("files").count();
+    assert_eq!(summed.len() + 1, names, "and each file has its checksum");
+    let built = &statement["predicate"]["buildDefinition"];
+    let commit = Command::new("git")
+        .args(["rev-parse", "HEAD"])
+        .current_dir(root())
+        .output()
+        .expect("git runs");
+    assert_eq!(
+        text(&built["resolvedDependencies"][0]["digest"]["gitCommit"]),
+        said(&commit).trim()
+    );
+    assert_eq!(
+        built["externalParameters"]["programGiven"], true,
+        "this release is around a program that was there"
+    );
+}
+
+fn text(value: &Value) -> &str {
+    value.as_str().unwrap_or_else(|| panic!("{value} is no text"))
+}
+
+/// A reader of CycloneDX with its schemas (PyPI).
+const CONTENTS: &str = "cyclonedx-python-lib[json-validation]==11.12.0";
+
+const CHECK_CONTENTS: &str = "import sys; from cyclonedx.schema import SchemaVersion; from cyclonedx.validation.json import JsonStrictValidator; \
+                              sys.exit(str(JsonStrictValidator(SchemaVersion.V1_6).validate_str(open(sys.argv[1]).read()) or '') or 0)";
+
+fn contents_fit_cyclonedx(out: &Path) {
+    let reader = needed!(program_of_package("bill-of-materials", &[CONTENTS], "python"));
+    let check = |file: &Path| {
+        Command::new(&reader)
+            .args(["-c", CHECK_CONTENTS])
+            .arg(file)
+            .output()
+            .expect("python runs")
+    };
+    let file = file_of(out, ".cdx.json");
+    assert!(check(&file).status.success(), "{}", said(&check(&file)));
+    let broken = out.with_file_name("broken.json");
+    let contents = fs::read_to_string(file).expect("a file");
+    assert!(contents.contains("pkg:cargo/tokio@1."), "the crates are named");
+    fs::write(
+        &broken,
+        contents.replace("\"type\": \"library\"", "\"type\": \"libary\""),
+    )
+    .expect("written");
+    assert!(!check(&broken).status.success(), "the check can fail");
+}
+
+fn runs_on_a_bare_root(out: &Path) {
+    let done = Command::new(root().join("tests/clients/bare-root.sh"))
+        .arg(out)
+        .output()
+        .expect("bash runs");
+    let reply = said(&done);
+    assert!(done.status.success(), "{reply}");
+    if reply.contains("SKIPPED") {
+        return show(reply.trim());
+    }
+    for line in [
+        "deformed: glTF",
+        "6 cases in process: 6 passed",
+        "ready",
+        "\"revision\":\"",
+        "stopped",
+    ] {
+        assert!(reply.contains(line), "{line}: {reply}");
     }
 }
 

@@ -7,7 +7,7 @@
 
 use crate::support::book;
 use crate::support::process::{root, show};
-mod checkout;
+pub(super) mod checkout;
 
 use checkout::{Checkout, Played};
 use std::fs;
@@ -15,9 +15,10 @@ use std::path::Path;
 use std::process::Command;
 
 /// Every page for users that has no test of its own.
-const PAGES: [&str; 29] = [
+const PAGES: [&str; 32] = [
     "README.md",
     "CONTRIBUTING.md",
+    "SECURITY.md",
     "deploy/README.md",
     "deploy/docs/agents.md",
     "deploy/docs/animation.md",
@@ -45,6 +46,8 @@ const PAGES: [&str; 29] = [
     "deploy/docs/other-languages.md",
     "deploy/docs/troubleshooting.md",
     "deploy/docs/wrap.md",
+    "proto/clients/cpp/README.md",
+    "proto/clients/csharp/README.md",
 ];
 
 fn read(name: &str) -> String {
@@ -306,9 +309,11 @@ fn cookbook_for_the_web() {
 
 #[test]
 fn other_languages() {
-    let checkout = play("deploy/docs/other-languages.md");
-    // No compiler of C# is at hand: the names that the page uses are at least those of the generated messages.
-    if let Ok(made) = fs::read_to_string(checkout.path("target/csharp/Pliant.cs")) {
+    play("deploy/docs/other-languages.md");
+    play("proto/clients/cpp/README.md");
+    let checkout = play("proto/clients/csharp/README.md");
+    // What the pages and the library name is at least there in the generated messages.
+    if let Ok(made) = fs::read_to_string(checkout.path("target/csharp-messages/Pliant.cs")) {
         for name in ["namespace Pliant.V1", "class SessionRequest", "string SessionId"] {
             assert!(made.contains(name), "{name}");
         }

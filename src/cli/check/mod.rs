@@ -5,6 +5,7 @@
 //!
 //! One shard of a suite, and the reports of all shards as that of the whole.
 
+mod new_case;
 mod remote;
 mod run;
 mod suite;
@@ -16,6 +17,7 @@ use crate::check::report::{CaseReport, ShardFacts, SuiteReport, merge_reports, r
 use crate::check::{CaseStatus, Shard, digest_texts, measured_costs, report, split_cases, split_digest};
 use crate::session::store::build_identity;
 use clap::{ArgGroup, Args};
+use new_case::{NewCaseArgs, take_back};
 use remote::{HttpClient, ServerAddress};
 use run::{CheckPlan, run_all_cases};
 use std::collections::BTreeMap;
@@ -61,6 +63,8 @@ pub struct CheckArgs {
     /// Fail a case without its data instead of skipping it
     #[arg(long)]
     no_skip: bool,
+    #[command(flatten)]
+    new_case: NewCaseArgs,
     /// Folder of the models that cases name as data:
     #[arg(long, value_name = "FOLDER", env = "PLIANT_DATA")]
     data: Option<PathBuf>,
@@ -74,9 +78,14 @@ pub struct CheckArgs {
 
 pub(super) fn run_check(args: &CheckArgs) -> Result<(), CliFailure> {
     args.output.check_targets()?;
-    match &args.suite {
-        Some(suite) => check_suite(suite, args),
-        None => join_shards(args),
+    match (&args.suite, &args.new_case.new) {
+        (Some(suite), Some(name)) => {
+            let path = args.new_case.write(suite, name)?;
+            let started = check_suite(suite, args, std::slice::from_ref(name), true);
+            started.inspect_err(|_| take_back(&path))
+        }
+        (Some(suite), None) => check_suite(suite, args, &args.chosen, args.bless),
+        (None, _) => join_shards(args),
     }
 }
 
@@ -95,8 +104,8 @@ fn join_shards(args: &CheckArgs) -> Result<(), CliFailure> {
     args.output.write(&report, |_| Ok(Vec::new()))
 }
 
-/// Runs a suite, or a shard of it.
-fn check_suite(suite: &Path, args: &CheckArgs) -> Result<(), CliFailure> {
+/// Runs a suite, the `chosen` cases of it, or a shard; stores the results where it is to `bless` them.
+fn check_suite(suite: &Path, args: &CheckArgs, chosen: &[String], bless: bool) -> Result<(), CliFailure> {
     let threads = args.threads.start_pool()?.threads();
     let server = args
         .server
@@ -104,8 +113,8 @@ fn check_suite(suite: &Path, args: &CheckArgs) -> Result<(), CliFailure> {
         .map(|url| ServerAddress::new(url, args.token.as_deref(), args.ca.as_deref()));
     let server = server.transpose().map_err(CliFailure::Input)?;
     let data = args.data.as_deref().filter(|d| !d.as_os_str().is_empty());
-    let loaded = suite::load_suite(suite, data, &args.allowed, &args.chosen)?;
-    check_targets(&args.output.reports(), &loaded, args.output.permission, args.bless)?;
+    let loaded = suite::load_suite(suite, data, &args.allowed, chosen)?;
+    check_targets(&args.output.reports(), &loaded, args.output.permission, bless)?;
     let suite::LoadedSuite { mut cases, notes, .. } = loaded;
     let shard = args
         .shard
@@ -117,7 +126,7 @@ fn check_suite(suite: &Path, args: &CheckArgs) -> Result<(), CliFailure> {
     }
     let plan = CheckPlan {
         server: server.as_ref(),
-        bless: args.bless,
+        bless,
         skip_fails: args.no_skip,
         pictures: args.output.wants_pictures(),
         times: args.output.times,

@@ -2,6 +2,7 @@
 
 use super::folder::{Suite, check};
 use crate::support::commands::Ran;
+use serde_json::Value;
 use std::fs;
 use std::process::Command;
 
@@ -232,4 +233,60 @@ fn cases_are_run_and_blessed_alone_by_name() {
     ran.gives(&["there are arm-left, arm-right, bar"]);
     let ran = suite.exits(2, "--case bar --shard 1/2");
     ran.gives(&["cannot be used with"]);
+}
+
+#[test]
+fn a_case_is_started_from_a_model_and_a_job() {
+    let suite = Suite::of_bar();
+    let case: Value = serde_json::from_str(&suite.read("bar.case.json")).expect("JSON");
+    suite.write("bend.json", &case["job"].to_string());
+    let files = || {
+        let entries = fs::read_dir(suite.path()).expect("a folder");
+        let mut names: Vec<_> = entries.map(|entry| entry.expect("an entry").file_name()).collect();
+        names.sort();
+        names
+    };
+    let before = files();
+    for (arguments, reason) in [
+        ("--new bend", "--model"),
+        (
+            "--new bend --model bar.obj --job none.json",
+            "--job: none.json is neither below",
+        ),
+        ("--new bend --model ../bar.obj --job bend.json", "--model: ../bar.obj"),
+        ("--new bend --model /etc/passwd --job bend.json", "is not below"),
+        ("--new b/d --model bar.obj --job bend.json", "is not the name of a case"),
+        (
+            "--new bar --model bar.obj --job bend.json",
+            "the case \"bar\" is there already",
+        ),
+        ("--new bend --model sample:cow --job bend.json", "is not built in"),
+        (
+            "--new bend --model bar.obj --job bend.json --bless",
+            "cannot be used with",
+        ),
+    ] {
+        suite.exits(2, arguments).gives(&[reason]);
+        assert_eq!(files(), before, "{arguments}: nothing is left behind");
+    }
+    suite
+        .fails("--new bend --model bend.json --job bend.json")
+        .gives(&["1 of 1 cases failed: bend"]);
+    assert_eq!(files(), before, "a case that cannot be run is not left behind");
+    // By its path from the working folder as well, which is the one that holds the suite.
+    suite.passes("--new bend --model bar.obj --job suite/bend.json --html report.html");
+    let made: Value = serde_json::from_str(&suite.read("bend.case.json")).expect("JSON");
+    assert_eq!(
+        (made["model"].as_str(), made["job"].as_str()),
+        (Some("bar.obj"), Some("bend.json"))
+    );
+    assert!(suite.read("report.html").contains("bend"));
+    assert!(
+        !suite.path().join("bar.golden.json").exists(),
+        "other cases are not blessed"
+    );
+    suite.passes("--case bend");
+    let feet = r#"{"handles": [{"id": "feet", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -0.14}}}]}"#;
+    suite.write("stand.json", feet);
+    suite.passes("--new stand --model sample:creature --job stand.json");
 }
