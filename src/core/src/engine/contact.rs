@@ -50,7 +50,7 @@ pub(super) fn part_surfaces(
 ///
 /// # Errors
 /// [`Error::TooLarge`] where there is no room for the memory, [`Error::Cancelled`].
-pub(super) fn part_drag_frame(
+pub(super) fn part_drag(
     derived: &DerivedStructures,
     handles: &HandleSystem,
     state: &mut SolveState,

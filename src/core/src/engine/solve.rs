@@ -9,7 +9,7 @@ use crate::deform::{
 };
 use crate::engine::Deformer;
 use crate::engine::buckles::BuckleWatch;
-use crate::engine::contact::{part_drag_frame, part_surfaces};
+use crate::engine::contact::{part_drag, part_surfaces};
 use crate::engine::deformer::CommittedShape;
 use crate::engine::derived_structures::DerivedStructures;
 use crate::engine::edit_command::{Edit, EditCommand, EditOutcome, EditedShape};
@@ -189,9 +189,7 @@ impl Deformer {
             .settle(body, handle_system, &solved.frames, &mut solved.positions, exec.pool);
         match mode {
             SolveMode::Drag if settings.contact == Contact::Ignored => state.contact().forget(),
-            SolveMode::Drag => {
-                part_drag_frame(derived, handle_system, state, &beside, &mut solved.positions, exec.pool)?
-            }
+            SolveMode::Drag => part_drag(derived, handle_system, state, &beside, &mut solved.positions, exec.pool)?,
             SolveMode::Anew => part_surfaces(derived, handle_system, settings.contact, &mut solved.positions, exec)?,
             SolveMode::Commit if settings.method == Method::SpatialRbf => {}
             SolveMode::Commit => {
