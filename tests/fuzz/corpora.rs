@@ -274,7 +274,7 @@ fn messages() -> Vec<Vec<u8>> {
 }
 
 fn animation() -> pb::AnimateOptions {
-    let text = r#"{"recording": {"size": "100"}, "fps": 30, "refine": 2}"#;
+    let text = r#"{"bvhSize": "100", "fps": 30, "refine": 2, "contact": "AVOID"}"#;
     json::from_json(text.as_bytes()).unwrap_or_default()
 }
 

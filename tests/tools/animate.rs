@@ -3,7 +3,7 @@
 use crate::support::commands::{Workplace, on_a_terminal};
 use crate::support::shapes::{moved, obj_text};
 use glam::DVec3;
-use pliant::asset::sample::{BuiltInModel, BuiltInRecording};
+use pliant::asset::sample::{BuiltInModel, BuiltInRecording, body_glb};
 use pliant::asset::shapes;
 use serde_json::Value;
 use std::fmt::Write as _;
@@ -196,4 +196,69 @@ fn a_recording_moves_what_a_skin_places_and_leaves_out_the_rest() {
     let names = ["volumeChange", "flippedTriangles", "maxStretch", "edgeRms", "cycles"];
     assert_eq!(measured(&played, &names), measured(&bare, &names));
     assert_eq!(played["handles"], bare["handles"]);
+}
+
+/// An elbow of the built-in body that bends by 160 degrees in so many frames.
+fn write_elbow(folder: &Path, frames: usize) {
+    fs::write(folder.join("body.glb"), body_glb()).expect("written");
+    let mut clip = String::from("HIERARCHY\nROOT chest\n{\nOFFSET 0 0 0\nCHANNELS 3 Zrotation Xrotation Yrotation\n");
+    for (joint, offset) in [("upper", 0.2), ("fore", 0.25), ("hand", 0.25)] {
+        let channels = "CHANNELS 3 Zrotation Xrotation Yrotation";
+        write!(clip, "JOINT {joint}\n{{\nOFFSET {offset} 0 0\n{channels}\n").expect("text");
+    }
+    clip += "End Site\n{\nOFFSET 0.16 0 0\n}\n}\n}\n}\n}\nMOTION\n";
+    write!(clip, "Frames: {}\nFrame Time: 0.0333333\n", frames + 1).expect("text");
+    for k in 0..=frames {
+        let bend = 160.0 * k as f64 / frames as f64;
+        writeln!(clip, "0 0 0 0 0 0 0 0 {} 0 0 0", -bend).expect("text");
+    }
+    fs::write(folder.join("elbow.bvh"), clip).expect("written");
+    let rig = r#"{"version": 1, "reference": {"frame": 0}, "joints": {"trunk": [0, 1.41, 0], "shoulder": [0.2, 1.41, 0],
+        "elbow": [0.45, 1.41, 0], "wrist": [0.7, 1.41, 0], "tip": [0.86, 1.41, 0]}, "bones": [
+        {"id": "chest", "from": "trunk", "to": "shoulder", "joint": "chest", "rest": "ORIENTATION", "radius": 0.12},
+        {"id": "upper", "from": "shoulder", "to": "elbow", "parent": "chest", "joint": "upper", "rest": "ORIENTATION", "radius": 0.06, "slices": 3},
+        {"id": "fore", "from": "elbow", "to": "wrist", "parent": "upper", "joint": "fore", "rest": "ORIENTATION", "radius": 0.05, "slices": 3},
+        {"id": "hand", "from": "wrist", "to": "tip", "parent": "fore", "joint": "hand", "rest": "ORIENTATION", "radius": 0.04}]}"#;
+    fs::write(folder.join("rig.json"), rig).expect("written");
+}
+
+#[test]
+fn with_contact_avoid_a_recorded_forearm_stays_outside_of_the_body() {
+    let place = Workplace::empty();
+    write_elbow(place.path(), 12);
+    let report = |more: &[&str]| -> Value {
+        let arguments = [
+            "animate",
+            "body.glb",
+            "--bvh",
+            "elbow.bvh",
+            "--rig",
+            "rig.json",
+            "--json",
+        ];
+        place.done(&[&arguments[..], more].concat()).json()
+    };
+    let [without, with] = [&["--self-intersections"][..], &["--contact", "avoid"]].map(report);
+    let totals = |report: &Value, field: &str| report["totals"][field].as_f64().unwrap_or_default();
+    let [crossing, left] = [&without, &with].map(|report| totals(report, "newSelfIntersectionsMean"));
+    assert!(
+        crossing > 30.0,
+        "the forearm passes through the arm, {crossing} pairs a frame"
+    );
+    assert!(left <= 0.05 * crossing, "{left} of {crossing} pairs a frame");
+    // The worst frame is named.
+    let worst = totals(&without, "worstCrossingFrame") as usize;
+    let pairs = |report: &Value, frame: usize| report["frames"][frame]["newSelfIntersections"].as_f64();
+    assert_eq!(
+        pairs(&without, worst),
+        Some(totals(&without, "newSelfIntersectionsWorst"))
+    );
+    let frames = without["frames"].as_array().expect("frames");
+    let crossing = (0..frames.len()).filter(|k| pairs(&without, *k) > Some(0.0)).count();
+    assert_eq!(totals(&without, "crossingFrames") as usize, crossing);
+    for k in 0..frames.len() {
+        let crosses = pairs(&without, k) > Some(0.0);
+        let same = without["frames"][k]["digest"] == with["frames"][k]["digest"];
+        assert!(crosses || same, "frame {k} does not cross and has other bits");
+    }
 }

@@ -101,6 +101,7 @@ pub(super) fn measure_own_clip(
         plant_feet: None,
         quality: ANIMATION_QUALITY,
         counts_crossings: false,
+        contact: Default::default(),
     };
     let limits = AnimationLimits {
         clip: ClipLimits::default(),

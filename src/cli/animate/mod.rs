@@ -18,8 +18,8 @@ use super::terminal::{CliFailure, StageSpinner, ThreadArgs, print_json, raised_o
 use crate::asset::{FileSet, Model};
 use crate::deform::EdgeWeights;
 use crate::engine::{
-    ANIMATION_QUALITY, AnimatedFrame, Animation, AnimationLimits, ClipRequest, ClipSource, Deformer, DeformerLimits,
-    FrameChoice, OpenOptions, Quality, left_out_passengers,
+    ANIMATION_QUALITY, AnimatedFrame, Animation, AnimationLimits, ClipRequest, ClipSource, Contact, Deformer,
+    DeformerLimits, FrameChoice, OpenOptions, Quality, left_out_passengers,
 };
 use crate::exec::Exec;
 use crate::motion::bvh::ClipLimits;
@@ -75,6 +75,9 @@ pub struct AnimateArgs {
     /// Count pairs of triangles that cross in each frame, and those that do not cross in the rest pose
     #[arg(long)]
     self_intersections: bool,
+    /// What frames do about surfaces that the clip pushes through each other
+    #[arg(long, value_enum, default_value_t = ContactChoice::Ignore)]
+    contact: ContactChoice,
     /// Relative residual to reach
     #[arg(long)]
     tolerance: Option<f64>,
@@ -97,6 +100,15 @@ enum SkipFirst {
     Yes,
     /// Never.
     No,
+}
+
+/// What frames do about surfaces that cross.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum ContactChoice {
+    /// They cross.
+    Ignore,
+    /// They are moved apart, and pairs that still cross are counted.
+    Avoid,
 }
 
 /// Weights of the edges of the surface.
@@ -138,7 +150,11 @@ pub(in crate::cli) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> 
         scale,
         plant_feet: args.plant_feet,
         quality,
-        counts_crossings: args.self_intersections,
+        counts_crossings: args.counts_crossings(),
+        contact: match args.contact {
+            ContactChoice::Ignore => Contact::Ignored,
+            ContactChoice::Avoid => Contact::Avoided { clearance: None },
+        },
     };
     let limits = AnimationLimits {
         clip: ClipLimits::default(),
@@ -219,11 +235,12 @@ fn print_summary(report: &pb::AnimationReport, is_open: bool) {
             100.0 * foot.drift_before
         );
     }
-    if let Some((mean, worst)) = totals
-        .new_self_intersections_mean
-        .zip(totals.new_self_intersections_worst)
-    {
-        say!("{mean:.1} pairs of triangles cross in a frame that do not in the rest pose, at worst {worst}");
+    if let Some((mean, frames)) = totals.new_self_intersections_mean.zip(totals.crossing_frames) {
+        let worst = totals.new_self_intersections_worst.unwrap_or_default();
+        let place = (totals.worst_crossing_frame).map_or_else(String::new, |frame| format!(" in frame {frame}"));
+        say!(
+            "{mean:.1} pairs of triangles cross in a frame that do not in the rest pose, at worst {worst}{place}; {frames} frames have some"
+        );
     }
     say!(
         "{} frames, {:.1} a second after {:.0} ms; volume {volume}; {:.1} triangles flipped a frame, at worst {}",
@@ -283,8 +300,11 @@ impl AnimateArgs {
         if let Some(plant_feet) = self.plant_feet {
             identity += &format!("plant feet {plant_feet}\n");
         }
-        if self.self_intersections {
+        if self.counts_crossings() {
             identity += "crossings are counted\n";
+        }
+        if self.contact == ContactChoice::Avoid {
+            identity += "contact avoid\n";
         }
         let mut rig = None;
         if let Some(path) = &self.rig {
@@ -325,6 +345,10 @@ impl AnimateArgs {
             clip,
             identity,
         })
+    }
+
+    fn counts_crossings(&self) -> bool {
+        self.self_intersections || self.contact == ContactChoice::Avoid
     }
 
     fn quality(&self) -> Result<Quality, CliFailure> {

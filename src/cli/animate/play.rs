@@ -80,7 +80,7 @@ fn frame_report(frame: &AnimatedFrame, ms: f64) -> pb::animation_report::FrameRe
 pub(super) fn frame_totals(frames: &[pb::animation_report::FrameReport], ms: f64) -> pb::animation_report::Totals {
     let mut sums = FrameSums::default();
     for frame in frames {
-        sums.add(&QualityReport {
+        let quality = QualityReport {
             volume_change: frame.volume_change,
             flipped_triangles: frame.flipped_triangles,
             max_stretch: frame.max_stretch,
@@ -88,7 +88,8 @@ pub(super) fn frame_totals(frames: &[pb::animation_report::FrameReport], ms: f64
             self_intersections: frame.self_intersections,
             new_self_intersections: frame.new_self_intersections,
             ..Default::default()
-        });
+        };
+        sums.add(frame.index as usize, &quality);
     }
     animation_totals(&sums, ms)
 }

@@ -457,8 +457,8 @@ fn is_moved(mesh: &Mesh, t: u32, now: &[DVec3]) -> bool {
 }
 
 impl FaceChanges {
-    /// Looks at every face.
-    fn find(mesh: &Mesh, now: &[DVec3], pool: &Pool) -> Self {
+    /// Looks at every face of a shape, one position per solver vertex.
+    pub fn find(mesh: &Mesh, now: &[DVec3], pool: &Pool) -> Self {
         pool.install(|| {
             let gradients = vertex_gradients(mesh, now);
             let cofactors: Vec<DMat3> = gradients.par_iter().map(shading::cofactor).collect();

@@ -477,3 +477,97 @@ fn hang_together(some: &[[u32; 3]]) -> bool {
     let parts = Components::of_edges(some.len(), beside.map(|two| (two[0].1, two[1].1)));
     parts.count <= 1
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::intersections::visit_crossings;
+    use pliant_exec::pool::Pool;
+    use pliant_exec::progress::Silent;
+    use proptest::prelude::*;
+    use std::f64::consts::TAU;
+    use std::sync::Mutex;
+
+    /// Points around a ring and around its tube.
+    const AROUND: [usize; 2] = [36, 14];
+
+    /// A ring of radius 1 about z around a point, with waves along it.
+    fn ring(at: DVec3, wave: f64, waves: f64) -> Vec<DVec3> {
+        let [long, short] = AROUND;
+        let point = |k: usize| {
+            let (along, around) = (
+                (k / short) as f64 * TAU / long as f64,
+                (k % short) as f64 * TAU / short as f64,
+            );
+            let (sin, cos) = libm::sincos(along);
+            let out = 1.0 + 0.3 * libm::cos(around) + wave * libm::sin(waves * along);
+            let up = 0.3 * libm::sin(around) + wave * libm::cos(waves * along + 1.0);
+            at + DVec3::new(out * cos, out * sin, up)
+        };
+        (0..long * short).map(point).collect()
+    }
+
+    /// Two rings.
+    fn rings() -> Vec<[u32; 3]> {
+        let [long, short] = AROUND;
+        let number = |k: usize, i: usize, j: usize| (k * long * short + (i % long) * short + j % short) as u32;
+        let squares = (0..2).flat_map(|k| (0..long).flat_map(move |i| (0..short).map(move |j| [k, i, j])));
+        let of_square = |[k, i, j]: [usize; 3]| {
+            let [a, b, c, d] = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)].map(|(i, j)| number(k, i, j));
+            [[a, b, c], [a, c, d]]
+        };
+        squares.flat_map(of_square).collect()
+    }
+
+    fn visited(positions: &[DVec3], triangles: &[[u32; 3]], is_asked: &[bool], exec: &Exec<'_>) -> Vec<[u32; 2]> {
+        let found = Mutex::new(Vec::new());
+        let keep = |pair| found.lock().expect("no panic").push(pair);
+        visit_crossings(positions, triangles, Some(is_asked), &keep, exec).expect("no cancel");
+        let mut found = found.into_inner().expect("no panic");
+        found.sort_unstable();
+        found
+    }
+
+    #[derive(Debug, Clone)]
+    struct Pose {
+        at: [f64; 3],
+        wave: f64,
+        waves: u8,
+        asks: usize,
+    }
+
+    fn pose() -> impl Strategy<Value = Pose> {
+        let at = [-1.2..1.2f64, -1.2..1.2, -0.6..0.6];
+        (at, 0.0..0.35f64, 1u8..7, 1usize..5).prop_map(|(at, wave, waves, asks)| Pose { at, wave, waves, asks })
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(48) })]
+
+        #[test]
+        fn both_searches_find_the_same_pairs_in_one_pose_after_the_other(poses in prop::collection::vec(pose(), 1..4)) {
+            let pool = Pool::new(2).expect("threads");
+            let exec = Exec::new(&pool, &Silent);
+            let triangles = rings();
+            let shape = |at: [f64; 3], wave: f64, waves: f64| {
+                [ring(DVec3::ZERO, wave, waves), ring(DVec3::from_array(at), wave, waves + 1.0)].concat()
+            };
+            let mut tree = MovingCrossings::build(&shape([4.0, 0.0, 0.0], 0.0, 1.0), &triangles, &exec);
+            for pose in poses {
+                let mut positions = shape(pose.at, pose.wave, f64::from(pose.waves));
+                let is_asked: Vec<bool> = (0..triangles.len()).map(|t| t % pose.asks == 0).collect();
+                let found = tree.find(&positions, &is_asked, u64::MAX, &exec).expect("no cancel");
+                prop_assert_eq!(found.expect("all are seen"), visited(&positions, &triangles, &is_asked, &exec));
+                // A part of the second ring moves on.
+                let first = AROUND[0] * AROUND[1];
+                let moves = |v: u32| (first..first + 5 * AROUND[1]).contains(&(v as usize));
+                let moved = (positions.iter_mut().zip(0u32..)).filter(|(_, v)| moves(*v));
+                moved.for_each(|(p, _)| *p += DVec3::new(0.05, -0.1, 0.2));
+                let is_near: Vec<bool> = triangles.iter().map(|t| t.iter().any(|v| moves(*v))).collect();
+                let near: Vec<u32> = (0u32..).zip(&is_near).filter(|(_, near)| **near).map(|(t, _)| t).collect();
+                let found = tree.find_again(&positions, &near, u64::MAX, &exec).expect("no cancel");
+                prop_assert_eq!(found.expect("all are seen"), visited(&positions, &triangles, &is_near, &exec));
+            }
+        }
+    }
+}

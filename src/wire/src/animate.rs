@@ -7,10 +7,11 @@ use super::rig::motion_rig;
 use super::{Error, json, pb};
 use bytes::Bytes;
 use pb::animate_options::{PlayedAs, Root, SkipFirst, Source};
-use pb::animation_report::foot::Contact;
+use pb::animation_report::foot::Contact as FootContact;
 use pb::animation_report::{Foot, HeldNodes, Totals};
 use pliant_core::engine::{
-    ANIMATION_QUALITY, ClipRequest, ClipSource, FootFacts, FrameChoice, FrameSums, PlayedForm, Quality, RigHandleFacts,
+    ANIMATION_QUALITY, ClipRequest, ClipSource, Contact, FootFacts, FrameChoice, FrameSums, PlayedForm, Quality,
+    RigHandleFacts,
 };
 use pliant_motion::rig::MotionRig;
 use serde_json::Value;
@@ -114,7 +115,8 @@ pub fn animate_order(options: &pb::AnimateOptions, max_window: u32, clip_bytes: 
         )?,
         plant_feet: options.plant_feet,
         quality: quality(options)?,
-        counts_crossings: stream.output.self_intersections,
+        counts_crossings: stream.output.self_intersections || contact(options)? != Contact::Ignored,
+        contact: contact(options)?,
     };
     Ok(AnimateOrder {
         request,
@@ -127,6 +129,14 @@ pub fn animate_order(options: &pb::AnimateOptions, max_window: u32, clip_bytes: 
         output: stream.output,
         window: stream.window,
         played: played_form(options)?,
+    })
+}
+
+/// What frames do about surfaces that cross.
+fn contact(options: &pb::AnimateOptions) -> Result<Contact, Error> {
+    Ok(match enumerated::<pb::options::Contact>(options.contact, "contact")? {
+        pb::options::Contact::Ignore => Contact::Ignored,
+        pb::options::Contact::Avoid => Contact::Avoided { clearance: None },
     })
 }
 
@@ -265,8 +275,9 @@ pub fn summary_frame(summary: &AnimationSummary, seq: u64) -> pb::Frame {
 
 /// Writes sums over frames that took so many milliseconds together.
 pub fn animation_totals(sums: &FrameSums, ms: f64) -> Totals {
+    let narrow = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
     Totals {
-        frames: u32::try_from(sums.frames).unwrap_or(u32::MAX),
+        frames: narrow(sums.frames),
         ms,
         frames_per_second: if ms > 0.0 { 1e3 * sums.frames as f64 / ms } else { 0.0 },
         volume_change_mean: sums.volume_change_mean(),
@@ -277,6 +288,8 @@ pub fn animation_totals(sums: &FrameSums, ms: f64) -> Totals {
         edge_rms_mean: sums.edge_rms_mean(),
         new_self_intersections_mean: sums.new_self_intersections_mean(),
         new_self_intersections_worst: sums.new_self_intersections_worst,
+        crossing_frames: sums.crossing_frames.map(narrow),
+        worst_crossing_frame: sums.worst_crossing_frame.map(narrow),
     }
 }
 
@@ -294,7 +307,11 @@ pub fn held_nodes_message(handles: &[RigHandleFacts]) -> Vec<HeldNodes> {
 pub fn feet_message(feet: &[FootFacts]) -> Vec<Foot> {
     let message = |foot: &FootFacts| Foot {
         bone: foot.bone.clone(),
-        contacts: foot.contacts.iter().map(|&[from, to]| Contact { from, to }).collect(),
+        contacts: foot
+            .contacts
+            .iter()
+            .map(|&[from, to]| FootContact { from, to })
+            .collect(),
         planted_frames: u32::try_from(foot.planted).unwrap_or(u32::MAX),
         drift_before: foot.drift[0],
         drift_after: foot.drift[1],
@@ -316,7 +333,10 @@ mod tests {
         let request = &order.request;
         assert_eq!(request.clip, ClipSource::OfModel("0".into()));
         assert_eq!((&request.frames, request.scale), (&FrameChoice::default(), None));
-        assert_eq!(request.quality, ANIMATION_QUALITY);
+        assert_eq!(
+            (request.quality, request.contact),
+            (ANIMATION_QUALITY, Contact::Ignored)
+        );
         assert_eq!((order.root, order.window), (RootMotion::Apart, 2));
         assert_eq!(order.played, PlayedForm::Morphs(64));
     }
@@ -370,6 +390,13 @@ mod tests {
                 "window: is 9, allowed are 1 to 8",
             ),
             (pb::AnimateOptions { root: 5, ..options() }, "root: is 5"),
+            (
+                pb::AnimateOptions {
+                    contact: 5,
+                    ..options()
+                },
+                "contact: is 5",
+            ),
             (
                 pb::AnimateOptions {
                     skip_first: 5,

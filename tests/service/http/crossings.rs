@@ -2,6 +2,9 @@
 
 use super::post;
 use crate::support::server::*;
+use crate::support::shapes::{both, moved, obj_text};
+use glam::DVec3;
+use pliant::asset::shapes;
 use pliant::wire::pb;
 use serde_json::{Value, json};
 
@@ -148,4 +151,43 @@ async fn pairs_say_where_they_cross_how_deep_and_whether_handles_hold_them() {
             .as_array()
             .is_some_and(|all| all.iter().any(|pair| pair["kind"] == "AT_REST"))
     );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_model_that_crosses_itself_is_freed_of_that_and_undo_brings_it_back() {
+    let server = Server::start().await;
+    let ball = shapes::icosphere(0.5, 3);
+    let other = moved(ball.clone(), |p| p + DVec3::new(0.9, 0.02, 0.01));
+    let opened = server
+        .post("/v1/sessions?format=obj")
+        .body(obj_text(&both(ball, other)))
+        .document()
+        .await;
+    let id = opened["id"].as_str().expect("an id").to_owned();
+    let at_rest = |found: &Value| found["totalAtRest"].as_u64().unwrap_or_default();
+    let before = at_rest(&crossings(&server, &id, json!({})).await);
+    assert!(before > 0, "the balls cross");
+
+    let path = format!("/v1/sessions/{id}/edits");
+    let answer = post(&server, &path, json!({"unintersect": {}})).await;
+    assert_eq!(answer.status(), 200);
+    let edited: Value = answer.json().await.expect("JSON");
+    let report = &edited["unintersect"];
+    assert!(report["crossingsBefore"].as_u64() > Some(0), "{report}");
+    assert_eq!(report["crossings"].as_u64().unwrap_or_default(), 0);
+    assert_eq!(at_rest(&crossings(&server, &id, json!({})).await), 0);
+
+    let undone = post(&server, &format!("/v1/sessions/{id}/undo"), json!({})).await;
+    assert_eq!(undone.status(), 200);
+    assert_eq!(at_rest(&crossings(&server, &id, json!({})).await), before);
+    // A second time there is nothing to do where all is fixed.
+    let fixed = json!({"unintersect": {"fixed": {"halfSpace": {"normal": [1, 0, 0], "offset": -10}}}});
+    let kept: Value = post(&server, &path, fixed).await.json().await.expect("JSON");
+    assert_eq!(kept["unintersect"]["movedVertices"].as_u64().unwrap_or_default(), 0);
+    let warnings = kept["warnings"].as_array().cloned().unwrap_or_default();
+    assert!(warnings.iter().any(|w| w["code"] == "contact-left"), "{kept}");
+
+    let refused = post(&server, &path, json!({"unintersect": {"clearance": -1}})).await;
+    assert_eq!(refused.status(), 400);
+    assert!(refused.text().await.expect("text").contains("unintersect.clearance"));
 }

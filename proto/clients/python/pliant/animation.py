@@ -62,6 +62,8 @@ class AnimateFields(TypedDict, total=False):
     window: int
     #: Whether feet stay where they stand; absent, of a BVH file whose legs drive the rig.
     plant_feet: bool
+    #: What frames do about surfaces that the clip pushes through each other: "avoid" moves them apart, and counts pairs that still cross.
+    contact: Literal["ignore", "avoid"]
 
 
 _PLAIN = ("fps", "first", "count", "scale", "refine", "tolerance", "window", "plant_feet")
@@ -185,6 +187,8 @@ def order(clip: str | int | None, rig: Rig | None, how: AnimateFields) -> pb.Ani
             output[name] = value  # type: ignore[literal-required]
         elif name == "root":
             message.root = enum(name, pb.AnimateOptions.Root, value)
+        elif name == "contact":
+            message.contact = enum(name, pb.Options.Contact, value)
         elif name == "skip_first":
             word = {True: "yes", False: "no"}.get(value, value) if isinstance(value, bool) else value
             message.skip_first = enum(name, pb.AnimateOptions.SkipFirst, word)

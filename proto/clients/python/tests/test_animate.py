@@ -104,6 +104,23 @@ def test_a_recording_drives_a_rig(server: pliant.LocalServer, tmp_path: Path) ->
         assert [frame.digest for frame in long] == [frame.digest for frame in frames]
 
 
+def test_frames_with_contact_avoid_do_not_cross(server: pliant.LocalServer, tmp_path: Path) -> None:
+    for name in ("body.glb", "boxing.bvh"):
+        subprocess.run([binary(), "sample", Path(name).stem, "-o", tmp_path / name], check=True, capture_output=True)
+    with pliant.open(tmp_path / "body.glb", server=server) as session:
+        plain = list(session.animate(bvh=tmp_path / "boxing.bvh", count=16))
+        walk = session.animate(bvh=tmp_path / "boxing.bvh", count=16, contact="avoid")
+        parted = list(walk)
+        assert walk.report is not None
+        totals = walk.report.totals
+        assert totals.HasField("crossing_frames") and totals.crossing_frames == 0
+        assert totals.new_self_intersections_worst == 0 and not totals.HasField("worst_crossing_frame")
+        same = [a.digest == b.digest for a, b in zip(plain, parted, strict=True)]
+        assert any(same) and not all(same), "frames that do not cross keep their bits, and others cross"
+        with pytest.raises(ValueError, match="contact"):
+            list(session.animate(bvh=tmp_path / "boxing.bvh", contact="touch"))  # type: ignore[arg-type]
+
+
 def test_what_is_wrong_is_said(server: pliant.LocalServer) -> None:
     with pliant.open(bar(), server=server) as session:
         with pytest.raises(pliant.InvalidArgument, match="line 1: a BVH file begins with HIERARCHY") as refused:

@@ -5,12 +5,16 @@ use super::derived_structures::DerivedStructures;
 use super::error::Error;
 use super::facts::DeformerWarning;
 use super::handle::HandlePoses;
-use super::settings::{Contact, SolveSettings};
-use crate::deform::{ContactSurface, HandleSystem, MovingSurface, RestCrossings, SolveState};
+use super::settings::{Contact, HeldBeside, SolveSettings};
+use crate::deform::{self, ContactMemory, ContactSurface, HandleSystem, MovingSurface, RestCrossings, SolveState};
 use crate::exec::Exec;
 use crate::mesh::PairKind;
+use crate::pool::Pool;
+use crate::progress::Progress as _;
 use glam::DVec3;
 
+/// How often what parts the surfaces of a frame of a drag is improved.
+const DRAG_UPDATES: usize = 2;
 /// How many pairs of triangles are looked through for those that a warning names,
 const MOST_SEEN: usize = 10_000;
 /// and how many it names.
@@ -42,28 +46,54 @@ pub(super) fn part_surfaces(
     Ok(surface.part(positions, exec)?)
 }
 
-/// Moves surfaces apart in a frame that goes on from the one before, of which `state` knows.
+/// Moves surfaces apart in a frame of a drag; `state` knows of the one before. What is held `beside` is the caller's.
 ///
 /// # Errors
-/// [`Error::Cancelled`].
-pub(super) fn part_moving_surfaces(
+/// [`Error::TooLarge`] where there is no room for the memory, [`Error::Cancelled`].
+pub(super) fn part_drag(
     derived: &DerivedStructures,
     handles: &HandleSystem,
-    contact: Contact,
     state: &mut SolveState,
+    beside: &HeldBeside<'_>,
     positions: &mut [DVec3],
-    exec: &Exec<'_>,
+    pool: &Pool,
 ) -> Result<(), Error> {
-    if contact == Contact::Ignored {
-        state.contact().forget();
-        return Ok(());
-    }
-    exec.progress.begin_pass("contact");
     let surface = MovingSurface {
         mesh: &derived.mesh,
         held: handles.given(),
+        updates: DRAG_UPDATES,
     };
-    Ok(state.contact().part(&surface, positions, exec)?)
+    part_moving_surface(&surface, state.contact(), beside, positions, pool).map(drop)
+}
+
+/// Moves surfaces apart in a frame that goes on from the one before, of which `memory` knows; returns whether it has. What is held
+/// `beside` is the caller's.
+///
+/// # Errors
+/// [`Error::TooLarge`] where there is no room for the memory, [`Error::Cancelled`].
+pub(super) fn part_moving_surface(
+    surface: &MovingSurface<'_>,
+    memory: &mut ContactMemory,
+    beside: &HeldBeside<'_>,
+    positions: &mut [DVec3],
+    pool: &Pool,
+) -> Result<bool, Error> {
+    beside.begin_pass("contact");
+    admit_memory(surface, memory, beside)?;
+    Ok(memory.part(surface, positions, &Exec::new(pool, beside))?)
+}
+
+/// Refuses the first frame of a surface where there is no room for what it takes.
+pub(super) fn admit_memory(
+    surface: &MovingSurface<'_>,
+    memory: &ContactMemory,
+    beside: &HeldBeside<'_>,
+) -> Result<(), Error> {
+    let bytes = surface.byte_estimate();
+    if memory.is_empty() && !beside.may_hold(bytes) {
+        return Err(beside.refusal(deform::Error::TooLarge { bytes }));
+    }
+    Ok(())
 }
 
 impl Deformer {

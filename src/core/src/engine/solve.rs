@@ -9,7 +9,7 @@ use crate::deform::{
 };
 use crate::engine::Deformer;
 use crate::engine::buckles::BuckleWatch;
-use crate::engine::contact::{part_moving_surfaces, part_surfaces};
+use crate::engine::contact::{part_drag, part_surfaces};
 use crate::engine::deformer::CommittedShape;
 use crate::engine::derived_structures::DerivedStructures;
 use crate::engine::edit_command::{Edit, EditCommand, EditOutcome, EditedShape};
@@ -18,7 +18,7 @@ use crate::engine::handle::{HandlePose, HandlePoses};
 use crate::engine::resolved_handles::check_free_rotation;
 use crate::engine::riding::RidingVertices;
 use crate::engine::riding_frames::RidingFrames;
-use crate::engine::settings::{COMMIT_REFINE, Contact, DeformerLimits, Recipe, SolveMode, SolveSettings};
+use crate::engine::settings::{COMMIT_REFINE, Contact, DeformerLimits, HeldBeside, Recipe, SolveMode, SolveSettings};
 use crate::engine::shape::{ModelShape, ShapeId};
 use crate::exec::Exec;
 use crate::mesh::carry::{CarrySurface, LocalGradients};
@@ -111,7 +111,8 @@ impl Deformer {
         Ok(transforms)
     }
 
-    /// Solves a pose. `watch` is called after every cycle; `false` takes the result as it is.
+    /// Solves a pose. `watch` is called after every cycle; `false` takes the result as it is. Methods other than
+    /// [`Method::Harmonic`] are for comparison.
     ///
     /// # Errors
     /// [`Error::Precondition`] without handles; [`Error::Cancelled`] when `progress` says so, within one cycle;
@@ -128,6 +129,7 @@ impl Deformer {
         self.check_method(settings)?;
         let free = self.handles.turning_freely(&poses.0);
         let limits = self.room_limits();
+        let beside = HeldBeside::within(self.byte_size(), limits.memory_bytes, exec.progress);
         let Self {
             handle_system: Some(handle_system),
             state,
@@ -171,7 +173,6 @@ impl Deformer {
             let request = PoseRequest { first_pass, ..request };
             handle_system.solve(body, &request, state, exec, &mut on_cycle)
         };
-        // All other methods but the first are for comparison.
         let mut solved = match settings.method {
             Method::Harmonic => found.map_or_else(|| with(FirstPass::Harmonic), Ok)?,
             Method::Diffusion => with(FirstPass::Given(
@@ -186,10 +187,10 @@ impl Deformer {
         derived
             .thin
             .settle(body, handle_system, &solved.frames, &mut solved.positions, exec.pool);
-        let (contact, places) = (settings.contact, &mut solved.positions);
         match mode {
-            SolveMode::Drag => part_moving_surfaces(derived, handle_system, contact, state, places, exec)?,
-            SolveMode::Anew => part_surfaces(derived, handle_system, contact, places, exec)?,
+            SolveMode::Drag if settings.contact == Contact::Ignored => state.contact().forget(),
+            SolveMode::Drag => part_drag(derived, handle_system, state, &beside, &mut solved.positions, exec.pool)?,
+            SolveMode::Anew => part_surfaces(derived, handle_system, settings.contact, &mut solved.positions, exec)?,
             SolveMode::Commit if settings.method == Method::SpatialRbf => {}
             SolveMode::Commit => {
                 state.release_start();

@@ -75,7 +75,7 @@ impl Deformer {
             let message = "triangles of the model cross nowhere";
             warnings.push(DeformerWarning::new("unintersect-nothing", message, ""));
         }
-        warnings.extend(self.crossings_left(&shape.positions, &report, exec)?);
+        warnings.extend(self.crossings_left(&shape.positions, &parted, exec)?);
         Ok(ShapeToEdit {
             shape,
             wrap: None,
@@ -88,19 +88,23 @@ impl Deformer {
     fn crossings_left(
         &self,
         positions: &[DVec3],
-        report: &UnintersectReport,
+        parted: &UncrossedSurface,
         exec: &Exec<'_>,
     ) -> Result<Option<DeformerWarning>, Error> {
-        if report.crossings == 0 {
+        if parted.crossings == 0 {
             return Ok(None);
         }
-        let (left, before) = (grouped_count(report.crossings), grouped_count(report.crossings_before));
-        let message = match report.crossings_before > MOST_PARTED as u64 {
+        let (left, before) = (grouped_count(parted.crossings), grouped_count(parted.crossings_before));
+        let end = match parted.is_given_up {
+            true => "; the work ended after three places in a row that could not be parted",
+            false => "",
+        };
+        let message = match parted.crossings_before > MOST_PARTED as u64 {
             true => format!(
                 "{before} pairs of triangles cross; up to {} are parted",
                 grouped_count(MOST_PARTED as u64)
             ),
-            false => format!("{left} of {before} pairs of triangles still cross"),
+            false => format!("{left} of {before} pairs of triangles still cross{end}"),
         };
         let found = self.crossing_pairs(positions, MOST_NAMED, exec)?;
         let named: Vec<String> = (found.pairs.iter())

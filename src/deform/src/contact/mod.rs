@@ -10,7 +10,7 @@
 //! Places so crumpled that faces cross others of the same direction are flattened instead. What that leaves has its curves shortened
 //! again.
 //!
-//! Frames of a drag go on from the one before by a few of the steps that shorten curves ([`moving`]).
+//! Frames of a drag or a recording go on from the one before by a few of the steps that shorten curves ([`moving`]).
 
 mod contour;
 mod displace;

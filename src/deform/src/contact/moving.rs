@@ -1,4 +1,4 @@
-//! Contact while things move: frames of a drag.
+//! Contact while things move: frames of a drag or of a recording.
 //!
 //! Each frame goes on from the displacement of the one before, carried along in frames of the surface around each vertex, and a little
 //! ahead. So what is apart stays on its side in a deep pose that is reached in small steps. A few steps shorten the curves in which
@@ -16,8 +16,6 @@ use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
 use pliant_mesh::{Lists, Mesh, MovingCrossings, is_crossing};
 
-/// How often the displacement of a frame is improved.
-const UPDATES: usize = 2;
 /// How far the region reaches around triangles that cross, in rings of faces.
 const RINGS: usize = 8;
 /// How far surfaces go apart in an update, median edges.
@@ -33,6 +31,19 @@ pub struct MovingSurface<'a> {
     pub mesh: &'a Mesh,
     /// By graph node, those of the surface first: whether it stays.
     pub held: &'a [bool],
+    /// How often the displacement of a frame is improved at most.
+    pub updates: usize,
+}
+
+/// Bytes that parting takes for each vertex, or for two triangles where there are more of these.
+const VERTEX_BYTES: u64 = 1024;
+
+impl MovingSurface<'_> {
+    /// About how many bytes parting its first frame takes.
+    pub fn byte_estimate(&self) -> u64 {
+        let (vertices, triangles) = (self.mesh.positions.len(), self.mesh.triangles.len());
+        VERTEX_BYTES * vertices.max(triangles.div_ceil(2)) as u64
+    }
 }
 
 /// What a frame leaves to the next about contact. It belongs to one surface and its handles.
@@ -76,7 +87,7 @@ struct FrameParting<'a> {
 
 impl ContactMemory {
     /// Moves vertices among the `positions` of a frame (of graph nodes, those of the surface first) so that fewer pairs of triangles
-    /// cross that do not in the rest pose. Where it cannot, they keep their bits.
+    /// cross that do not in the rest pose; returns whether it has. Where it cannot, they keep their bits.
     ///
     /// # Errors
     /// [`Cancelled`]; what earlier frames have left is forgotten.
@@ -85,13 +96,12 @@ impl ContactMemory {
         surface: &MovingSurface<'_>,
         positions: &mut [DVec3],
         exec: &Exec<'_>,
-    ) -> Result<(), Cancelled> {
+    ) -> Result<bool, Cancelled> {
         let Self { known, moved, pairs } = std::mem::take(self);
         let mut known = known.unwrap_or_else(|| KnownSurface::of(surface, exec));
         let base = &positions[..surface.mesh.positions.len()];
-        let most = most_overlaps(&surface.mesh.triangles);
-        let before = known.search.find(base, &known.is_free, most, exec)?;
-        let before = before.map_or_else(Vec::new, |all| new_crossings(surface.mesh, all));
+        let before = known.crossings(surface, base, exec)?;
+        let mut has_moved = false;
         if (1..=MOST_PARTED).contains(&before.len()) {
             let held = &surface.held[..base.len()];
             let region = ContactRegion::around(surface.mesh, &known.faces_of, held, &before, RINGS);
@@ -110,11 +120,32 @@ impl ContactMemory {
                 self.pairs = before.len();
                 if best.crossings.len() < before.len() {
                     positions[..best.at.len()].copy_from_slice(&best.at);
+                    has_moved = true;
                 }
             }
         }
         self.known = Some(known);
-        Ok(())
+        Ok(has_moved)
+    }
+
+    /// Whether triangles of a frame cross that do not in the rest pose. The frame leaves nothing to the next.
+    ///
+    /// # Errors
+    /// [`Cancelled`].
+    pub fn would_part(
+        &mut self,
+        surface: &MovingSurface<'_>,
+        positions: &[DVec3],
+        exec: &Exec<'_>,
+    ) -> Result<bool, Cancelled> {
+        let known = self.known.get_or_insert_with(|| KnownSurface::of(surface, exec));
+        let crossings = known.crossings(surface, &positions[..surface.mesh.positions.len()], exec)?;
+        Ok((1..=MOST_PARTED).contains(&crossings.len()))
+    }
+
+    /// Whether nothing is known yet, so that the next frame takes memory ([`MovingSurface::byte_estimate`]).
+    pub fn is_empty(&self) -> bool {
+        self.known.is_none()
     }
 
     /// Forgets what frames have left.
@@ -148,6 +179,18 @@ impl KnownSurface {
         }
     }
 
+    /// Pairs of faces that cross and do not in the rest pose; none where nearly all faces overlap.
+    fn crossings(
+        &mut self,
+        surface: &MovingSurface<'_>,
+        at: &[DVec3],
+        exec: &Exec<'_>,
+    ) -> Result<Vec<[u32; 2]>, Cancelled> {
+        let most = most_overlaps(&surface.mesh.triangles);
+        let found = self.search.find(at, &self.is_free, most, exec)?;
+        Ok(found.map_or_else(Vec::new, |all| new_crossings(surface.mesh, all)))
+    }
+
     fn byte_size(&self) -> usize {
         self.search.byte_size()
             + self.faces_of.byte_size()
@@ -168,7 +211,7 @@ impl FrameParting<'_> {
             return Ok(None);
         };
         let mut best = now.clone();
-        for _ in 0..UPDATES {
+        for _ in 0..self.surface.updates {
             if best.crossings.is_empty() {
                 break;
             }

@@ -10,12 +10,14 @@ use super::{ContactSurface, MOST_PARTED, RINGS, RestCrossings, faces_of_vertices
 use glam::DVec3;
 use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
-use pliant_mesh::{Components, Lists, Mesh, self_intersections};
+use pliant_mesh::{Components, Mesh, self_intersections};
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
 /// Places that are parted one by one at most.
 const MOST_PLACES: usize = 16;
+/// So many places in a row that could not be parted end the work: those that follow have fewer pairs and less room.
+const PLACE_PATIENCE: usize = 3;
 /// Where lengths of edges change by more, on the mean, or pairs are left, a wider part of the surface is let give way,
 const STRAINED: f64 = 0.01;
 /// so many rings of faces.
@@ -40,6 +42,8 @@ pub struct UncrossedSurface {
     pub crossings_before: u64,
     /// Pairs that cross now; never more.
     pub crossings: u64,
+    /// Whether parting ended before all places were tried, because those before could not be parted.
+    pub is_given_up: bool,
 }
 
 impl CrossingSurface<'_> {
@@ -52,7 +56,7 @@ impl CrossingSurface<'_> {
         let mut best = UncrossedSurface {
             positions: mesh.positions.clone(),
             crossings_before: self_intersections(&mesh.positions, &mesh.triangles, exec)?,
-            crossings: 0,
+            ..UncrossedSurface::default()
         };
         best.crossings = best.crossings_before;
         if !(1..=MOST_PARTED as u64).contains(&best.crossings) {
@@ -87,7 +91,7 @@ impl CrossingSurface<'_> {
         if best.crossings > 0 {
             self.part_places(&surface, &mut best, exec)?;
         }
-        if (1..before.crossings).contains(&best.crossings) {
+        if (1..before.crossings).contains(&best.crossings) && !best.is_given_up {
             self.try_with(&surface, &mut best, exec)?;
         }
         Ok(best)
@@ -122,14 +126,14 @@ impl CrossingSurface<'_> {
         let Some(crossings) = surface.crossings(&best.positions, None, exec)? else {
             return Ok(());
         };
-        let faces_of = faces_of_vertices(self.mesh);
-        let places = places_of(self.mesh, &faces_of, self.fixed, &crossings);
-        if places.len() < 2 {
+        let places = CrossingPlaces::of(self.mesh, self.fixed, &crossings);
+        if places.parts.len() < 2 {
             return Ok(());
         }
-        for place in places.iter().take(MOST_PLACES) {
-            let region = ContactRegion::around(self.mesh, &faces_of, self.fixed, place, RINGS);
-            let held: Vec<bool> = (region.local.iter()).map(|k| (*k as usize) >= region.free).collect();
+        let mut patience = PLACE_PATIENCE;
+        for part in places.parts.iter().take(MOST_PLACES) {
+            let before = best.crossings;
+            let held = places.held_beside(*part);
             self.try_with(
                 &ContactSurface {
                     held: &held,
@@ -138,29 +142,58 @@ impl CrossingSurface<'_> {
                 best,
                 exec,
             )?;
+            patience = if best.crossings < before {
+                PLACE_PATIENCE
+            } else {
+                patience - 1
+            };
+            if patience == 0 {
+                best.is_given_up = true;
+                break;
+            }
         }
         Ok(())
     }
 }
 
-/// Pairs that cross, those whose regions touch together; the largest such place first.
-fn places_of(mesh: &Mesh, faces_of: &Lists, fixed: &[bool], crossings: &[[u32; 2]]) -> Vec<Vec<[u32; 2]>> {
-    let region = ContactRegion::around(mesh, faces_of, fixed, crossings, RINGS);
-    let near = (0..mesh.triangles.len()).filter(|t| region.is_near[*t]);
-    let near: Vec<[u32; 3]> = near.map(|t| mesh.triangles[t]).collect();
-    // Both surfaces of a pair are one place.
-    let joints = crossings.iter().map(|pair| {
-        let [a, b] = pair.map(|t| mesh.triangles[t as usize]);
-        [a[0], a[1], b[0]]
-    });
-    let all: Vec<[u32; 3]> = near.iter().copied().chain(joints).collect();
-    let of = Components::of_triangles(mesh.positions.len(), &all).of_vertex;
-    let mut places: BTreeMap<u32, Vec<[u32; 2]>> = BTreeMap::new();
-    for pair in crossings {
-        let part = of[mesh.triangles[pair[0] as usize][0] as usize];
-        places.entry(part).or_default().push(*pair);
+/// Places of a surface where triangles cross: pairs whose regions touch are one.
+struct CrossingPlaces {
+    /// By vertex, which part of the surface around all pairs it is in.
+    part_of: Vec<u32>,
+    /// By vertex, whether it may move.
+    is_free: Vec<bool>,
+    /// The parts with pairs, those with most of them first.
+    parts: Vec<u32>,
+}
+
+impl CrossingPlaces {
+    fn of(mesh: &Mesh, fixed: &[bool], crossings: &[[u32; 2]]) -> Self {
+        let region = ContactRegion::around(mesh, &faces_of_vertices(mesh), fixed, crossings, RINGS);
+        let near = region.faces.iter().map(|t| mesh.triangles[*t as usize]);
+        // Both surfaces of a pair are one place.
+        let joints = crossings.iter().map(|pair| {
+            let [a, b] = pair.map(|t| mesh.triangles[t as usize]);
+            [a[0], a[1], b[0]]
+        });
+        let all: Vec<[u32; 3]> = near.chain(joints).collect();
+        let part_of = Components::of_triangles(mesh.positions.len(), &all).of_vertex;
+        let mut pairs: BTreeMap<u32, usize> = BTreeMap::new();
+        for pair in crossings {
+            let part = part_of[mesh.triangles[pair[0] as usize][0] as usize];
+            *pairs.entry(part).or_default() += 1;
+        }
+        let mut parts: Vec<u32> = pairs.keys().copied().collect();
+        parts.sort_by_key(|part| Reverse(pairs[part]));
+        Self {
+            part_of,
+            is_free: (region.local.iter()).map(|k| (*k as usize) < region.free).collect(),
+            parts,
+        }
     }
-    let mut places: Vec<Vec<[u32; 2]>> = places.into_values().collect();
-    places.sort_by_key(|place| Reverse(place.len()));
-    places
+
+    /// By vertex, whether it stays while one of the parts is parted.
+    fn held_beside(&self, part: u32) -> Vec<bool> {
+        let own = self.part_of.iter().zip(&self.is_free);
+        own.map(|(of, is_free)| !is_free || *of != part).collect()
+    }
 }

@@ -13,6 +13,7 @@ use super::rigid_motion::{RigidMotion, clear_twist, rotation_about};
 use crate::skeleton::MotionClip;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use pliant_mesh::rotation::fit_rotation;
+use pliant_mesh::rotation::log_rotation;
 
 /// How a clip drives a rig.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -35,6 +36,36 @@ pub struct RigPose {
     pub bones: Vec<RigidMotion>,
     /// By bone how it is turned against its neighbours.
     pub turns: Vec<BoneTurns>,
+}
+
+impl RigPose {
+    /// A pose on the way from the rest pose of its rig to this one: each bone has gone `part` (0 to 1) of its way against the bone that it
+    /// hangs on.
+    #[must_use]
+    pub fn part_way(&self, rig: &MotionRig, part: f64) -> Self {
+        let mut bones: Vec<RigidMotion> = Vec::with_capacity(self.bones.len());
+        for (bone, motion) in rig.bones.iter().zip(&self.bones) {
+            bones.push(match bone.parent {
+                None => motion.part_way(part),
+                Some(parent) => (motion.seen_from(&self.bones[parent]).part_way(part)).followed_by(&bones[parent]),
+            });
+        }
+        Self {
+            root: self.root,
+            bones,
+            turns: self.turns.iter().map(|turns| turns.part_way(part)).collect(),
+        }
+    }
+
+    /// By how many radians a bone is turned against the one that it hangs on, at most, from another pose of the same rig to this one.
+    pub fn largest_turn(&self, other: &Self, rig: &MotionRig) -> f64 {
+        let turn = |bone: usize| {
+            let parent = rig.bones[bone].parent?;
+            let [now, then] = [self, other].map(|pose| pose.bones[bone].seen_from(&pose.bones[parent]).rotation);
+            Some(log_rotation(then.inverse() * now).length())
+        };
+        (0..rig.bones.len()).filter_map(turn).fold(0.0, f64::max)
+    }
 }
 
 /// A clip that drives a rig.

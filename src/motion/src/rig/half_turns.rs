@@ -23,6 +23,17 @@ pub struct BoneTurns {
     pub(super) is_far: bool,
 }
 
+impl BoneTurns {
+    /// So much of the twists, 0 to 1.
+    pub(super) fn part_way(self, part: f64) -> Self {
+        Self {
+            above: self.above * part,
+            below: self.below * part,
+            is_far: false,
+        }
+    }
+}
+
 /// What is followed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum TurnKind {

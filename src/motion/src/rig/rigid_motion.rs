@@ -3,6 +3,7 @@
 //! Turns split into a twist about an axis and a swing of that axis.
 
 use glam::{DQuat, DVec3};
+use pliant_mesh::rotation::{exp_rotation, log_rotation};
 
 /// Takes a point x to R (x − from) + to.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -59,6 +60,16 @@ impl RigidMotion {
             rotation: (back * self.rotation).normalize(),
             from: self.from,
             to: back * (self.to - frame.to) + frame.from,
+        }
+    }
+
+    /// So much of the motion, 0 to 1: of the turn, the shorter way, and of the way of its point.
+    #[must_use]
+    pub(super) fn part_way(&self, part: f64) -> Self {
+        Self {
+            rotation: exp_rotation(log_rotation(self.rotation) * part),
+            from: self.from,
+            to: self.from.lerp(self.to, part),
         }
     }
 }

@@ -105,7 +105,7 @@ impl AnimationTask {
             root,
             output,
         };
-        self.solve_frames(Arc::new(solver), memory, summary).await
+        self.solve_frames(Arc::new(solver), Arc::new(memory), summary).await
     }
 
     /// The bytes that it needs of what all sessions together may hold.
@@ -123,7 +123,7 @@ impl AnimationTask {
     async fn solve_frames(
         &self,
         solver: Arc<FrameSolver>,
-        memory: MemoryReservation,
+        memory: Arc<MemoryReservation>,
         mut summary: AnimationSummary,
     ) -> Result<Option<AnimationSummary>, Error> {
         let shared = &self.manager.shared;
@@ -143,7 +143,8 @@ impl AnimationTask {
                 () = self.outbox.wait_for_end() => return Ok(None),
             };
             let flags = vec![Arc::clone(&self.outbox.cancel), Arc::clone(&self.session.cancel)];
-            let watch = Arc::new(WorkWatch::new(flags, shared.config.solve));
+            let watch = WorkWatch::new(flags, shared.config.solve);
+            let watch = Arc::new(watch.within(Arc::clone(&memory), prepared.byte_size()));
             let (inside, frames, sums) = (Arc::clone(&watch), Arc::clone(&solver), summary.sums);
             let queued = slot.queued;
             let span = WorkSpan::new(WorkKind::Frame, &self.session.id, &Span::current());
@@ -213,7 +214,7 @@ impl FrameSolver {
         };
         let mut quality = animation.quality(&frame.positions, pool);
         frame.quality.tell_crossings(&mut quality);
-        sums.add(&quality);
+        sums.add(frame.index, &quality);
         let digest = digest(&frame.positions);
         match self.root {
             RootMotion::Apart => {}

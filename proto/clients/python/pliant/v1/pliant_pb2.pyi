@@ -960,7 +960,7 @@ class Animated(_message.Message):
     def __init__(self, index: _Optional[int] = ..., count: _Optional[int] = ..., time: _Optional[float] = ..., root_translation: _Optional[_Iterable[float]] = ..., root_rotation: _Optional[_Iterable[float]] = ..., digest: _Optional[str] = ..., cycles: _Optional[int] = ..., stage: _Optional[str] = ..., fraction: _Optional[float] = ..., report: _Optional[_Union[AnimationReport, _Mapping]] = ...) -> None: ...
 
 class AnimateOptions(_message.Message):
-    __slots__ = ("session_id", "clip", "bvh", "bvh_size", "rig", "fps", "first", "count", "skip_first", "scale", "refine", "tolerance", "root", "output", "window", "played_as", "max_targets", "bones", "plant_feet")
+    __slots__ = ("session_id", "clip", "bvh", "bvh_size", "rig", "fps", "first", "count", "skip_first", "scale", "refine", "tolerance", "root", "output", "window", "played_as", "max_targets", "bones", "plant_feet", "contact")
     class SkipFirst(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         AUTO: _ClassVar[AnimateOptions.SkipFirst]
@@ -1002,6 +1002,7 @@ class AnimateOptions(_message.Message):
     MAX_TARGETS_FIELD_NUMBER: _ClassVar[int]
     BONES_FIELD_NUMBER: _ClassVar[int]
     PLANT_FEET_FIELD_NUMBER: _ClassVar[int]
+    CONTACT_FIELD_NUMBER: _ClassVar[int]
     session_id: str
     clip: str
     bvh: bytes
@@ -1021,7 +1022,8 @@ class AnimateOptions(_message.Message):
     max_targets: int
     bones: int
     plant_feet: bool
-    def __init__(self, session_id: _Optional[str] = ..., clip: _Optional[str] = ..., bvh: _Optional[bytes] = ..., bvh_size: _Optional[int] = ..., rig: _Optional[_Union[Rig, _Mapping]] = ..., fps: _Optional[float] = ..., first: _Optional[int] = ..., count: _Optional[int] = ..., skip_first: _Optional[_Union[AnimateOptions.SkipFirst, str]] = ..., scale: _Optional[float] = ..., refine: _Optional[int] = ..., tolerance: _Optional[float] = ..., root: _Optional[_Union[AnimateOptions.Root, str]] = ..., output: _Optional[_Union[Output, _Mapping]] = ..., window: _Optional[int] = ..., played_as: _Optional[_Union[AnimateOptions.PlayedAs, str]] = ..., max_targets: _Optional[int] = ..., bones: _Optional[int] = ..., plant_feet: bool = ...) -> None: ...
+    contact: Options.Contact
+    def __init__(self, session_id: _Optional[str] = ..., clip: _Optional[str] = ..., bvh: _Optional[bytes] = ..., bvh_size: _Optional[int] = ..., rig: _Optional[_Union[Rig, _Mapping]] = ..., fps: _Optional[float] = ..., first: _Optional[int] = ..., count: _Optional[int] = ..., skip_first: _Optional[_Union[AnimateOptions.SkipFirst, str]] = ..., scale: _Optional[float] = ..., refine: _Optional[int] = ..., tolerance: _Optional[float] = ..., root: _Optional[_Union[AnimateOptions.Root, str]] = ..., output: _Optional[_Union[Output, _Mapping]] = ..., window: _Optional[int] = ..., played_as: _Optional[_Union[AnimateOptions.PlayedAs, str]] = ..., max_targets: _Optional[int] = ..., bones: _Optional[int] = ..., plant_feet: bool = ..., contact: _Optional[_Union[Options.Contact, str]] = ...) -> None: ...
 
 class AnimateRequest(_message.Message):
     __slots__ = ("options", "chunk", "ack", "cancel")
@@ -2034,7 +2036,7 @@ class AnimationReport(_message.Message):
         widened: float
         def __init__(self, name: _Optional[str] = ..., nodes: _Optional[int] = ..., widened: _Optional[float] = ...) -> None: ...
     class Totals(_message.Message):
-        __slots__ = ("frames", "ms", "frames_per_second", "volume_change_mean", "volume_change_worst", "flipped_triangles_mean", "flipped_triangles_worst", "max_stretch", "edge_rms_mean", "new_self_intersections_mean", "new_self_intersections_worst")
+        __slots__ = ("frames", "ms", "frames_per_second", "volume_change_mean", "volume_change_worst", "flipped_triangles_mean", "flipped_triangles_worst", "max_stretch", "edge_rms_mean", "new_self_intersections_mean", "new_self_intersections_worst", "crossing_frames", "worst_crossing_frame")
         FRAMES_FIELD_NUMBER: _ClassVar[int]
         MS_FIELD_NUMBER: _ClassVar[int]
         FRAMES_PER_SECOND_FIELD_NUMBER: _ClassVar[int]
@@ -2046,6 +2048,8 @@ class AnimationReport(_message.Message):
         EDGE_RMS_MEAN_FIELD_NUMBER: _ClassVar[int]
         NEW_SELF_INTERSECTIONS_MEAN_FIELD_NUMBER: _ClassVar[int]
         NEW_SELF_INTERSECTIONS_WORST_FIELD_NUMBER: _ClassVar[int]
+        CROSSING_FRAMES_FIELD_NUMBER: _ClassVar[int]
+        WORST_CROSSING_FRAME_FIELD_NUMBER: _ClassVar[int]
         frames: int
         ms: float
         frames_per_second: float
@@ -2057,7 +2061,9 @@ class AnimationReport(_message.Message):
         edge_rms_mean: float
         new_self_intersections_mean: float
         new_self_intersections_worst: int
-        def __init__(self, frames: _Optional[int] = ..., ms: _Optional[float] = ..., frames_per_second: _Optional[float] = ..., volume_change_mean: _Optional[float] = ..., volume_change_worst: _Optional[float] = ..., flipped_triangles_mean: _Optional[float] = ..., flipped_triangles_worst: _Optional[int] = ..., max_stretch: _Optional[float] = ..., edge_rms_mean: _Optional[float] = ..., new_self_intersections_mean: _Optional[float] = ..., new_self_intersections_worst: _Optional[int] = ...) -> None: ...
+        crossing_frames: int
+        worst_crossing_frame: int
+        def __init__(self, frames: _Optional[int] = ..., ms: _Optional[float] = ..., frames_per_second: _Optional[float] = ..., volume_change_mean: _Optional[float] = ..., volume_change_worst: _Optional[float] = ..., flipped_triangles_mean: _Optional[float] = ..., flipped_triangles_worst: _Optional[int] = ..., max_stretch: _Optional[float] = ..., edge_rms_mean: _Optional[float] = ..., new_self_intersections_mean: _Optional[float] = ..., new_self_intersections_worst: _Optional[int] = ..., crossing_frames: _Optional[int] = ..., worst_crossing_frame: _Optional[int] = ...) -> None: ...
     class WrittenError(_message.Message):
         __slots__ = ("rms_percent", "max_percent", "parts")
         RMS_PERCENT_FIELD_NUMBER: _ClassVar[int]

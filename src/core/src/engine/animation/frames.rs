@@ -1,18 +1,20 @@
 //! The frames of an animation, block by block, and sums over them.
 
 use crate::deform::{
-    FirstPass, FitOrder, PoseRequest, Quality, SolutionExtent, SolveStart, SolveState, SolvedNodes, Transform,
-    unfold_faces,
+    FaceChanges, FirstPass, FitOrder, PoseRequest, Quality, SolutionExtent, SolveStart, SolveState, SolvedNodes,
+    Transform, unfold_faces,
 };
+use crate::engine::animation::parted_frames::MovingFrame;
 use crate::engine::animation::prepare::{Animation, BLOCK_FRAMES};
 use crate::engine::error::Error;
 use crate::engine::facts::QualityReport;
 use crate::engine::quality::FrameQuality;
+use crate::engine::settings::Contact;
 use crate::engine::solve::ShapeTransfer;
 use crate::exec::Exec;
 use crate::mesh::count_crossings;
 use crate::mesh::rotation::log_rotation;
-use crate::motion::rig::RigidMotion;
+use crate::motion::rig::{RigPose, RigidMotion};
 use glam::{DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -251,28 +253,63 @@ impl Animation {
         let Some(index) = cursor.next_index() else {
             return Err(Error::Internal("the animation has no more frames".into()));
         };
-        if index == cursor.begin() {
+        let is_first = index == cursor.begin();
+        if is_first {
             cursor.state = SolveState::default();
         }
-        let posed = self.solve_pose(index, index == cursor.begin(), &mut cursor.state, exec)?;
-        cursor.advance().then(|| self.finish(index, posed, exec)).transpose()
+        let fits = match index {
+            0 => FIRST_FITS,
+            _ if is_first => LEAD_FITS,
+            _ => CARRIED_FITS,
+        };
+        let start = if is_first { SolveStart::Fresh } else { SolveStart::Warm };
+        let pose = self.driver.pose_at(self.times.at(index));
+        let mut posed = self.solve_pose(&pose, start, fits, &mut cursor.state, exec)?;
+        let is_wanted = cursor.advance();
+        if !is_wanted && self.contact == Contact::Ignored {
+            return Ok(None);
+        }
+        let mut changes = self.settle_faces(&mut posed.solution, exec);
+        if self.contact != Contact::Ignored {
+            let begin = (!is_first).then(|| self.times.at(index - 1));
+            let moving = MovingFrame {
+                begin,
+                end: self.times.at(index),
+                pose: &pose,
+            };
+            let at = &mut posed.solution.positions;
+            if self.part_frame(&moving, at, &mut cursor.state, exec)? {
+                let mesh = &self.derived.mesh;
+                changes = FaceChanges::find(mesh, &at[..mesh.positions.len()], exec.pool);
+            }
+        }
+        is_wanted.then(|| self.finish(index, posed, &changes, exec)).transpose()
     }
 
-    fn solve_pose(
+    /// Settles thin parts and folds of where nodes are; returns what the shape does to faces.
+    pub(super) fn settle_faces(&self, solution: &mut SolvedNodes, exec: &Exec<'_>) -> FaceChanges {
+        let SolvedNodes { positions, frames, .. } = solution;
+        let derived = &self.derived;
+        derived
+            .thin
+            .settle(&derived.body, &self.system, frames, positions, exec.pool);
+        unfold_faces(&derived.mesh, &derived.surroundings, &self.system, positions, exec.pool)
+    }
+
+    /// Solves a pose of the rig. `fits` says how often rotations are fitted, unless the quality does.
+    pub(super) fn solve_pose(
         &self,
-        index: usize,
-        is_first: bool,
+        pose: &RigPose,
+        start: SolveStart,
+        fits: u32,
         state: &mut SolveState,
         exec: &Exec<'_>,
     ) -> Result<SolvedPose, Error> {
-        let pose = self.driver.pose_at(self.times.at(index));
         let transforms: Vec<Transform> = (self.handles.iter())
-            .map(|handle| transform(&handle.motion(&self.rig, &pose)))
+            .map(|handle| transform(&handle.motion(&self.rig, pose)))
             .collect();
-        let (fits, steps) = match self.quality.refine {
-            None if index == 0 => (FitOrder::Carried, FIRST_FITS),
-            None if is_first => (FitOrder::Carried, LEAD_FITS),
-            None => (FitOrder::Carried, CARRIED_FITS),
+        let (order, steps) = match self.quality.refine {
+            None => (FitOrder::Carried, fits),
             Some(steps) => {
                 state.forget_fits();
                 (FitOrder::GraphAlone, steps)
@@ -286,9 +323,9 @@ impl Animation {
                 keeps_volume: false,
                 ..self.quality
             },
-            start: if is_first { SolveStart::Fresh } else { SolveStart::Warm },
+            start,
             first_pass: FirstPass::WeightedSum,
-            fits,
+            fits: order,
             extent: SolutionExtent::Graph,
             smooth_borders: false,
         };
@@ -301,23 +338,24 @@ impl Animation {
         })
     }
 
-    /// Makes a frame of where its nodes are: thin parts and folds are settled, quality measured, vertices placed.
-    fn finish(&self, index: usize, posed: SolvedPose, exec: &Exec<'_>) -> Result<AnimatedFrame, Error> {
+    /// Makes a frame of where its nodes are: quality is measured, vertices are placed.
+    fn finish(
+        &self,
+        index: usize,
+        posed: SolvedPose,
+        changes: &FaceChanges,
+        exec: &Exec<'_>,
+    ) -> Result<AnimatedFrame, Error> {
         let SolvedPose {
             root,
             transforms,
-            mut solution,
+            solution,
         } = posed;
         let seconds = self.times.at(index);
         let derived = &self.derived;
-        let nodes = &mut solution.positions;
-        derived
-            .thin
-            .settle(&derived.body, &self.system, &solution.frames, nodes, exec.pool);
-        let faces = unfold_faces(&derived.mesh, &derived.surroundings, &self.system, nodes, exec.pool);
-        let surface = &nodes[..derived.mesh.positions.len()];
+        let surface = &solution.positions[..derived.mesh.positions.len()];
         let mesh = &derived.mesh;
-        let mut quality = FrameQuality::measure(mesh, derived.report().closed, surface, &faces, exec.pool);
+        let mut quality = FrameQuality::measure(mesh, derived.report().closed, surface, changes, exec.pool);
         if self.counts_crossings {
             let counted = count_crossings(surface, &mesh.positions, &mesh.triangles, exec);
             quality.crossings = Some(counted.map_err(|_| Error::Cancelled)?);
@@ -360,10 +398,10 @@ impl Animation {
 type SolvedStep = Option<(AnimatedFrame, f64)>;
 
 /// A frame whose nodes are placed.
-struct SolvedPose {
+pub(super) struct SolvedPose {
     root: RigidMotion,
     transforms: Vec<Transform>,
-    solution: SolvedNodes,
+    pub(super) solution: SolvedNodes,
 }
 
 fn transform(motion: &RigidMotion) -> Transform {
@@ -392,11 +430,15 @@ pub struct FrameSums {
     new_self_intersections: Option<f64>,
     /// Most pairs of triangles that cross in one frame and do not in the rest pose; `None` where they are not counted.
     pub new_self_intersections_worst: Option<u32>,
+    /// How many frames have such pairs; `None` where they are not counted.
+    pub crossing_frames: Option<usize>,
+    /// The first of the frames with most such pairs; `None` where no frame has any.
+    pub worst_crossing_frame: Option<usize>,
 }
 
 impl FrameSums {
-    /// Adds a frame.
-    pub fn add(&mut self, quality: &QualityReport) {
+    /// Adds the next frame, of which the number is given.
+    pub fn add(&mut self, frame: usize, quality: &QualityReport) {
         self.frames += 1;
         self.volume_change += quality.volume_change;
         self.flipped_triangles += f64::from(quality.flipped_triangles);
@@ -408,6 +450,10 @@ impl FrameSums {
         self.max_stretch = self.max_stretch.max(quality.max_stretch);
         if let Some(new) = quality.new_self_intersections {
             *self.new_self_intersections.get_or_insert(0.0) += f64::from(new);
+            *self.crossing_frames.get_or_insert(0) += usize::from(new > 0);
+            if new > self.new_self_intersections_worst.unwrap_or_default() {
+                self.worst_crossing_frame = Some(frame);
+            }
             self.new_self_intersections_worst = self.new_self_intersections_worst.max(Some(new));
         }
     }

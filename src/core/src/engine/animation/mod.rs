@@ -13,6 +13,7 @@ mod held_nodes;
 mod key_frames;
 mod made_rig;
 mod moving_clip;
+mod parted_frames;
 mod played;
 mod prepare;
 

@@ -67,6 +67,7 @@ impl Animation {
         animation.feet = feet_of(&animation, &range, &deformer.body_vertices()?);
         animation.range = range;
         animation.counts_crossings = request.counts_crossings;
+        animation.contact = request.contact;
         animation.beside = moving.beside;
         animation.own_clip = moving.own;
         if moving.own.is_some() {

@@ -8,6 +8,7 @@ use crate::engine::derived_structures::{DerivedStructures, admit_bytes};
 use crate::engine::error::Error;
 use crate::engine::facts::{DeformerWarning, QualityReport};
 use crate::engine::quality::{measure_quality, warn_of_large_faces};
+use crate::engine::settings::Contact;
 use crate::exec::Exec;
 use crate::graph::MeshGraph;
 use crate::mesh::BoundingBox;
@@ -55,6 +56,8 @@ pub struct ClipRequest {
     pub quality: Quality,
     /// Whether pairs of triangles that cross are counted in each frame.
     pub counts_crossings: bool,
+    /// What frames do about surfaces that a pose pushes through each other. Frames keep no distance.
+    pub contact: Contact,
 }
 
 /// How large an animation may be.
@@ -173,6 +176,9 @@ pub struct Animation {
     pub(super) times: FrameTimes,
     pub(super) quality: Quality,
     pub(super) counts_crossings: bool,
+    pub(super) contact: Contact,
+    /// Bytes that frames may hold.
+    pub(super) memory_bytes: u64,
     pub(super) beside: Option<SceneMotion>,
     pub(super) range: Range<usize>,
     pub(super) clip_name: String,
@@ -234,6 +240,8 @@ impl Deformer {
             times,
             quality: *quality,
             counts_crossings: false,
+            contact: Contact::Ignored,
+            memory_bytes: self.limits.memory_bytes,
             beside: None,
             range: 0..times.count,
             clip_name: String::new(),
@@ -349,6 +357,11 @@ impl Animation {
     /// The rig that moves.
     pub fn moving_rig(&self) -> &MotionRig {
         &self.rig
+    }
+
+    /// Keeps surfaces from crossing in frames, or lets them.
+    pub fn set_contact(&mut self, contact: Contact) {
+        self.contact = contact;
     }
 
     /// What each handle of the rig came to hold.

@@ -4,4 +4,5 @@ mod arm;
 mod blocks;
 mod feet;
 mod follow;
+mod parted;
 mod walker;
