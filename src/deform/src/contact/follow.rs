@@ -8,6 +8,7 @@
 use super::displace::DisplacementProblem;
 use super::find::Condition;
 use super::nearness::NearSearch;
+use super::pose_path::PosePath;
 use super::{CONTOUR_STYLE, ContactFaults, ContactSurface, Knowledge, MOST_PARTED, Parting, displaced};
 use glam::DVec3;
 use pliant_exec::Exec;
@@ -29,18 +30,6 @@ const CHOICES: usize = 2;
 const RATE: f64 = 0.7;
 /// Steps that stay in the last shape, so that what the way has left goes.
 const LAST_STEPS: usize = 2;
-
-/// Shapes of a pose that is taken in part only.
-pub trait PosePath {
-    /// Why there is none.
-    type Error: From<Cancelled>;
-
-    /// The places of all vertices with so much of the pose, from 0 to 1.
-    ///
-    /// # Errors
-    /// [`PosePath::Error`].
-    fn shape_at(&mut self, part: f64) -> Result<Vec<DVec3>, Self::Error>;
-}
 
 /// A shape on the way, with its displacement.
 #[derive(Clone)]

@@ -22,6 +22,7 @@ mod moving;
 mod nearness;
 mod normals;
 mod outfit;
+mod pose_path;
 mod region;
 mod unintersect;
 
@@ -29,7 +30,6 @@ use crate::surface_faults::most_overlaps;
 use contour::contour_conditions;
 use displace::DisplacementProblem;
 use find::{ContactFinder, Knowledge, PartingStyle};
-pub use follow::PosePath;
 use glam::DVec3;
 pub use layers::LayerSides;
 use layers::MisplacedVertex;
@@ -39,6 +39,8 @@ pub use outfit::{FittedOutfit, OutfitFaults, OutfitOnBody};
 use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
 use pliant_mesh::{Lists, Mesh, is_crossing, visit_crossings_within};
+use pose_path::NoPath;
+pub use pose_path::PosePath;
 use region::ContactRegion;
 use std::sync::{Mutex, PoisonError};
 pub use unintersect::{CrossingSurface, UncrossedSurface};
@@ -176,17 +178,6 @@ struct PartedShape {
     faults: usize,
     /// As [`ContactSurface::strain`].
     strain: f64,
-}
-
-/// Where a shape is not that of a pose.
-enum NoPath {}
-
-impl PosePath for NoPath {
-    type Error = Cancelled;
-
-    fn shape_at(&mut self, _part: f64) -> Result<Vec<DVec3>, Cancelled> {
-        match *self {}
-    }
 }
 
 /// A shape and what is wrong with it.

@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// How far off what is near may be, median edges.
 const REACH: f64 = 0.7;
-/// What lies beside each other on the surface is no contact: only what is nearer than so many times its distance in the rest pose,
+/// What lies beside each other on the surface is not a contact: only what is nearer than so many times its distance in the rest pose,
 const CLOSER: f64 = 0.7;
 /// and faces face each other, unless they are layers, where the cosine of the angle between their normals is below this.
 const FACING: f64 = 0.5;
