@@ -95,7 +95,7 @@ mod volume_scales;
 pub use body::{BodyOptions, CoarseOperators, DeformableBody, EdgeWeights, TieFamilies, TieOptions, VolumeMode};
 pub use contact::{
     ContactMemory, ContactSurface, CrossingSurface, FittedOutfit, LayerSides, MOST_PARTED, MovingSurface, OutfitFaults,
-    OutfitOnBody, RestCrossings, UncrossedSurface,
+    OutfitOnBody, PosePath, RestCrossings, UncrossedSurface,
 };
 pub use error::Error;
 pub use fields::{HarmonicFields, MOST_WHOLE_FIELDS};

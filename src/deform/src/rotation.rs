@@ -48,6 +48,17 @@ impl Transform {
         pivot: DVec3::ZERO,
     };
 
+    /// So much of the motion, from 0, where nothing moves, to 1.
+    #[must_use]
+    pub fn in_part(&self, part: f64) -> Self {
+        Self {
+            translation: self.translation * part,
+            rotation: self.rotation * part,
+            log_scale: self.log_scale * part,
+            pivot: self.pivot,
+        }
+    }
+
     /// Whether every point keeps its bits. A full turn is not the identity: it twists what lies between.
     pub fn is_identity(&self) -> bool {
         self.translation == DVec3::ZERO && self.rotation == DVec3::ZERO && self.log_scale == DMat3::ZERO

@@ -6,18 +6,19 @@
 //! around them, then further wherever that was not enough. At last there is the pose without fits. The shape with the fewest
 //! faults of all of these is kept, the earlier one of equals, so the fitted pose stays, bit for bit, where nothing is better.
 
-use super::contact::part_surfaces;
+use super::contact::ContactPose;
 use super::derived_structures::DerivedStructures;
 use super::error::Error;
 use super::handle::{Falloff, FalloffCurve};
 use super::resolved_handles::fading_weights;
-use super::settings::SolveSettings;
+use super::settings::{Contact, SolveSettings};
 use crate::deform::{
     FaceSurroundings, FreeSurface, HandleSystem, LocalRotation, PoseRequest, Quality, SolveState, SolvedNodes,
     SurfaceFaults, TurnChange, TurnChangeKind, VolumeScales, unfold_suspects,
 };
 use crate::exec::Exec;
 use crate::mesh::{Mesh, signed_volume, surface_area};
+use glam::DVec3;
 use std::sync::OnceLock;
 
 /// How often the pose is solved again with smoother rotations.
@@ -104,18 +105,33 @@ impl<'a> BuckleWatch<'a> {
         settings: &SolveSettings,
         state: &mut SolveState,
     ) -> Result<SolvedNodes, Error> {
+        state.release_start();
         self.unfold(&mut solved);
         if settings.watches_fits() {
             solved = self.unbuckled(solved, state)?;
         }
-        part_surfaces(
-            self.derived,
-            self.handles,
-            settings.contact,
-            &mut solved.positions,
-            self.exec,
-        )?;
+        self.part_surfaces(settings.contact, state, &mut solved.positions)?;
         Ok(solved)
+    }
+
+    /// Moves surfaces apart that the pose pushes through each other, as far as `contact` asks for it.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`], and those of a solve.
+    pub fn part_surfaces(
+        &self,
+        contact: Contact,
+        state: &mut SolveState,
+        positions: &mut [DVec3],
+    ) -> Result<(), Error> {
+        let mut pose = ContactPose {
+            derived: self.derived,
+            handles: self.handles,
+            request: self.request,
+            state,
+            exec: self.exec,
+        };
+        pose.part_surfaces(contact, positions)
     }
 
     /// Returns the fitted pose, which `state` has, or a better one.

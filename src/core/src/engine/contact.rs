@@ -6,7 +6,10 @@ use super::error::Error;
 use super::facts::DeformerWarning;
 use super::handle::HandlePoses;
 use super::settings::{Contact, HeldBeside, SolveSettings};
-use crate::deform::{self, ContactMemory, ContactSurface, HandleSystem, MovingSurface, RestCrossings, SolveState};
+use crate::deform::{
+    self, ContactMemory, ContactSurface, HandleSystem, MovingSurface, PosePath, PoseRequest, RestCrossings, SolveState,
+    Transform,
+};
 use crate::exec::Exec;
 use crate::mesh::PairKind;
 use crate::pool::Pool;
@@ -19,31 +22,81 @@ const DRAG_UPDATES: usize = 2;
 const MOST_SEEN: usize = 10_000;
 /// and how many it names.
 const MOST_NAMED: usize = 8;
+/// Bytes that parting takes for each vertex: shapes, searches and displacements,
+const PARTED_BYTES: u64 = 1024;
+/// what is near it,
+const CONDITION_BYTES: u64 = 8192;
+/// and that at most, of all vertices.
+const MOST_CONDITION_BYTES: u64 = 160 << 20;
 
-/// Moves surfaces apart that a pose pushes through each other, whatever was solved before.
-///
-/// # Errors
-/// [`Error::Cancelled`].
-pub(super) fn part_surfaces(
-    derived: &DerivedStructures,
-    handles: &HandleSystem,
-    contact: Contact,
-    positions: &mut [DVec3],
-    exec: &Exec<'_>,
-) -> Result<(), Error> {
-    let Contact::Avoided { clearance } = contact else {
-        return Ok(());
-    };
-    exec.progress.begin_pass("contact");
-    let layers = derived.layer_sides(exec)?;
-    let surface = ContactSurface {
-        mesh: &derived.mesh,
-        held: handles.given(),
-        clearance,
-        layers: &layers,
-        at_rest: RestCrossings::Stay,
-    };
-    Ok(surface.part(positions, exec)?)
+/// A pose with which surfaces may cross.
+pub(super) struct ContactPose<'a> {
+    pub derived: &'a DerivedStructures,
+    pub handles: &'a HandleSystem,
+    pub request: PoseRequest<'a>,
+    pub state: &'a mut SolveState,
+    pub exec: &'a Exec<'a>,
+}
+
+impl ContactPose<'_> {
+    /// Moves surfaces apart that the pose pushes through each other, whatever was solved before. `state` keeps its solution.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`], and those of a solve.
+    pub fn part_surfaces(&mut self, contact: Contact, positions: &mut [DVec3]) -> Result<(), Error> {
+        let Contact::Avoided { clearance } = contact else {
+            return Ok(());
+        };
+        let (derived, handles, exec) = (self.derived, self.handles, self.exec);
+        exec.progress.begin_pass("contact");
+        let layers = derived.layer_sides(exec)?;
+        let surface = ContactSurface {
+            mesh: &derived.mesh,
+            held: handles.given(),
+            clearance,
+            layers: &layers,
+            at_rest: RestCrossings::Stay,
+        };
+        // A part of a pose with targets is not known from its transforms.
+        if handles.has_targets() {
+            return Ok(surface.part(positions, exec)?);
+        }
+        let kept = self.state.take_solution();
+        let parted = surface.part_on(positions, Some(self), exec);
+        self.state.put_back(kept);
+        parted
+    }
+}
+
+impl PosePath for ContactPose<'_> {
+    type Error = Error;
+
+    fn shape_at(&mut self, part: f64) -> Result<Vec<DVec3>, Error> {
+        let DerivedStructures { mesh, body, thin, .. } = self.derived;
+        let transforms: Vec<Transform> = self.request.transforms.iter().map(|t| t.in_part(part)).collect();
+        let request = PoseRequest {
+            transforms: &transforms,
+            ..self.request
+        };
+        let mut solved = (self.handles).solve(body, &request, self.state, self.exec, &mut |_| true)?;
+        thin.settle(
+            body,
+            self.handles,
+            &solved.frames,
+            &mut solved.positions,
+            self.exec.pool,
+        );
+        self.exec.progress.begin_pass("contact");
+        let shape = solved.positions[..mesh.positions.len()].to_vec();
+        self.state.recycle(solved.positions, solved.frames);
+        Ok(shape)
+    }
+}
+
+/// Bytes that parting surfaces takes at most, beside what a deformer of so many solver vertices holds.
+pub(super) fn contact_bytes(vertices: usize) -> u64 {
+    let vertices = vertices as u64;
+    vertices * PARTED_BYTES + (vertices * CONDITION_BYTES).min(MOST_CONDITION_BYTES)
 }
 
 /// Moves surfaces apart in a frame of a drag; `state` knows of the one before. What is held `beside` is the caller's.

@@ -9,9 +9,9 @@ use crate::deform::{
 };
 use crate::engine::Deformer;
 use crate::engine::buckles::BuckleWatch;
-use crate::engine::contact::{part_drag, part_surfaces};
+use crate::engine::contact::{contact_bytes, part_drag};
 use crate::engine::deformer::CommittedShape;
-use crate::engine::derived_structures::DerivedStructures;
+use crate::engine::derived_structures::{DerivedStructures, admit_bytes};
 use crate::engine::edit_command::{Edit, EditCommand, EditOutcome, EditedShape};
 use crate::engine::error::Error;
 use crate::engine::handle::{HandlePose, HandlePoses};
@@ -61,8 +61,8 @@ impl Deformer {
             .ok_or_else(|| Error::Precondition("no handles are set; set them before deforming".into()))
     }
 
-    /// Refuses a method that the handles in force, or what is asked for beside it, do not go with.
-    fn check_method(&self, settings: &SolveSettings) -> Result<(), Error> {
+    /// Refuses a method that the handles in force, or what is asked for beside it, do not go with, and what there is not enough memory for.
+    fn check_request(&self, settings: &SolveSettings, mode: SolveMode, exec: &Exec<'_>) -> Result<(), Error> {
         if settings.method == Method::SpatialRbf && self.handles().handles.iter().any(|h| h.targets.is_some()) {
             let problem = "is SPATIAL_RBF, which cannot do with handles that have targets; GRAPH is allowed";
             return Err(Error::invalid("options.method", problem));
@@ -70,6 +70,10 @@ impl Deformer {
         if settings.method == Method::SpatialRbf && settings.contact != Contact::Ignored {
             let problem = "is AVOID, which does not go with method SPATIAL_RBF; IGNORE is allowed";
             return Err(Error::invalid("options.contact", problem));
+        }
+        if settings.contact != Contact::Ignored && mode != SolveMode::Drag {
+            let more = contact_bytes(self.derived.mesh.positions.len());
+            admit_bytes(self.byte_size() + more, &self.room_limits(), exec)?;
         }
         Ok(())
     }
@@ -126,7 +130,7 @@ impl Deformer {
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
     ) -> Result<ModelShape, Error> {
         let mut transforms = self.transforms(poses)?;
-        self.check_method(settings)?;
+        self.check_request(settings, mode, exec)?;
         let free = self.handles.turning_freely(&poses.0);
         let limits = self.room_limits();
         let beside = HeldBeside::within(self.byte_size(), limits.memory_bytes, exec.progress);
@@ -187,16 +191,14 @@ impl Deformer {
         derived
             .thin
             .settle(body, handle_system, &solved.frames, &mut solved.positions, exec.pool);
+        let buckles = || BuckleWatch::of(derived, handle_system, request, exec);
+        let (contact, places) = (settings.contact, &mut solved.positions);
         match mode {
-            SolveMode::Drag if settings.contact == Contact::Ignored => state.contact().forget(),
-            SolveMode::Drag => part_drag(derived, handle_system, state, &beside, &mut solved.positions, exec.pool)?,
-            SolveMode::Anew => part_surfaces(derived, handle_system, settings.contact, &mut solved.positions, exec)?,
+            SolveMode::Drag if contact == Contact::Ignored => state.contact().forget(),
+            SolveMode::Drag => part_drag(derived, handle_system, state, &beside, places, exec.pool)?,
+            SolveMode::Anew => buckles().part_surfaces(contact, state, places)?,
             SolveMode::Commit if settings.method == Method::SpatialRbf => {}
-            SolveMode::Commit => {
-                state.release_start();
-                let watch = BuckleWatch::of(derived, handle_system, request, exec);
-                solved = watch.finished_commit(solved, settings, state)?;
-            }
+            SolveMode::Commit => solved = buckles().finished_commit(solved, settings, state)?,
         }
         exec.progress.begin_pass("render");
         let (positions, gradients) = shape.render(&solved.positions, &solved.frames, &transforms);

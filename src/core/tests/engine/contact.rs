@@ -43,8 +43,12 @@ fn pushed(deformer: &mut Deformer, by: DVec3, contact: Contact, exec: &Exec<'_>)
 
 /// A tube of which handles hold both ends, up to `held` from each.
 fn held_tube(held: f64, exec: &Exec<'_>) -> Deformer {
+    with_ends_held(tube(24, 48), held, exec)
+}
+
+fn with_ends_held(tube: FileSet, held: f64, exec: &Exec<'_>) -> Deformer {
     let mut deformer =
-        Deformer::open(tube(24, 48), &OpenOptions::default(), &DeformerLimits::default(), exec).expect("a model");
+        Deformer::open(tube, &OpenOptions::default(), &DeformerLimits::default(), exec).expect("a model");
     let ends = [
         Handle::new("bottom", Region::half_space([0.0, 0.0, -1.0], 1e-6 - held)),
         Handle::new("top", Region::half_space([0.0, 0.0, 1.0], 4.0 - held + 1e-6)),
@@ -107,6 +111,25 @@ fn a_bent_tube_crosses_itself_without_and_not_with() {
         let left = warnings.iter().filter(|w| !w.message.contains("handles hold wholly"));
         assert_eq!(left.count(), 0, "{warnings:?}");
     }
+}
+
+#[test]
+fn a_tube_that_is_folded_flat_is_parted_on_the_way_there() {
+    let shapes = [1, 4].map(|threads| {
+        let pool = Pool::new(threads).expect("threads");
+        let exec = Exec::new(&pool, &Silent);
+        let mut deformer = with_ends_held(tube(16, 64), 1.0, &exec);
+        // Another pose before it does not matter.
+        bent(&mut deformer, 30.0 * threads as f64, Contact::Ignored, &exec);
+        let [without, with] = [Contact::Ignored, AVOIDED].map(|contact| bent(&mut deformer, 165.0, contact, &exec));
+        assert!(new_pairs(&deformer, &without, &exec) > 200);
+        assert_eq!(new_pairs(&deformer, &with, &exec), 0);
+        // Poses that were solved on the way leave nothing.
+        let again = bent(&mut deformer, 165.0, Contact::Ignored, &exec);
+        assert_eq!(without.positions, again.positions);
+        with.positions
+    });
+    assert_eq!(shapes[0], shapes[1]);
 }
 
 #[test]

@@ -47,6 +47,13 @@ pub(super) struct Condition {
     pub gap: f64,
 }
 
+impl Condition {
+    /// Where the places of the two sides lie from each other in a shape.
+    pub fn between(&self, at: &[DVec3]) -> DVec3 {
+        between(&self.nodes, at)
+    }
+}
+
 /// Where the middles of the two sides lie from each other.
 fn between(nodes: &[(u32, f64); 6], at: &[DVec3]) -> DVec3 {
     nodes.iter().map(|(v, factor)| at[*v as usize] * *factor).sum()
@@ -128,7 +135,7 @@ impl ContactFinder<'_> {
     }
 
     fn aside(&self, condition: &Condition, at: &[DVec3]) -> f64 {
-        (between(&condition.nodes, at) - condition.direction * condition.gap).length()
+        (condition.between(at) - condition.direction * condition.gap).length()
     }
 
     /// Adds the conditions of two faces that cross.
@@ -303,7 +310,7 @@ pub(super) fn edges_through(corners: [u32; 3], own: [DVec3; 3], [a, b, c]: [DVec
 }
 
 /// Where two segments are closest to each other, as parameters of each.
-fn closest_of_segments(p: [DVec3; 2], q: [DVec3; 2]) -> (f64, f64) {
+pub(super) fn closest_of_segments(p: [DVec3; 2], q: [DVec3; 2]) -> (f64, f64) {
     let (d, e, r) = (p[1] - p[0], q[1] - q[0], p[0] - q[0]);
     let (dd, ee, de, dr, er) = (d.dot(d), e.dot(e), d.dot(e), d.dot(r), e.dot(r));
     let determinant = dd * ee - de * de;

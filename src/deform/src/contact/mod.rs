@@ -2,23 +2,27 @@
 //!
 //! Where triangles cross that did not in the rest pose, the surface around ([`region`]) is displaced as smoothly as conditions on its
 //! vertices allow ([`displace`]), half of each on either side, all on one where handles hold the other. The result is looked at,
-//! conditions that have come up are added, and so on. What handles hold stays. No pose is solved again.
+//! conditions that have come up are added, and so on. What handles hold stays.
 //!
 //! At first conditions shorten the curves in which surfaces cross, step by step ([`contour`]). That is gentle, and needs no inside, but
-//! may end where a crossing is deep. Then each pair becomes a condition that stays in force ([`find`]): a vertex lies before a face, or an
-//! edge beside an edge, by the clearance, along the bisector of the two sides' normals, whose outsides say where each of them belongs.
-//! Places so crumpled that faces cross others of the same direction are flattened instead. What that leaves has its curves shortened
-//! again.
+//! may end where a crossing is deep. Then the surface goes from a part of the pose in which nothing crosses to all of it, where the pose
+//! can be taken in parts ([`follow`]), and its curves are shortened again. What that leaves becomes conditions that stay in force
+//! ([`find`]): a vertex lies before a face, or an edge beside an edge, by the clearance, along the bisector of the two sides' normals, whose
+//! outsides say where each of them belongs. Places so crumpled that faces cross others of the same direction are flattened instead. What
+//! that leaves has its curves shortened again.
 //!
 //! Frames of a drag or a recording go on from the one before by a few of the steps that shorten curves ([`moving`]).
 
 mod contour;
 mod displace;
 mod find;
+mod follow;
 mod layers;
 mod moving;
+mod nearness;
 mod normals;
 mod outfit;
+mod pose_path;
 mod region;
 mod unintersect;
 
@@ -35,6 +39,8 @@ pub use outfit::{FittedOutfit, OutfitFaults, OutfitOnBody};
 use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
 use pliant_mesh::{Lists, Mesh, is_crossing, visit_crossings_within};
+use pose_path::NoPath;
+pub use pose_path::PosePath;
 use region::ContactRegion;
 use std::sync::{Mutex, PoisonError};
 pub use unintersect::{CrossingSurface, UncrossedSurface};
@@ -165,6 +171,15 @@ struct Parted {
     knowledge: Knowledge,
 }
 
+/// A shape that may be the result.
+struct PartedShape {
+    at: Vec<DVec3>,
+    /// As [`ContactFaults::count`].
+    faults: usize,
+    /// As [`ContactSurface::strain`].
+    strain: f64,
+}
+
 /// A shape and what is wrong with it.
 struct Faulty {
     at: Vec<DVec3>,
@@ -199,6 +214,19 @@ impl ContactSurface<'_> {
     /// # Errors
     /// [`Cancelled`].
     pub fn part(&self, positions: &mut [DVec3], exec: &Exec<'_>) -> Result<(), Cancelled> {
+        self.part_on::<NoPath>(positions, None, exec)
+    }
+
+    /// As [`ContactSurface::part`] of a pose that can be taken in parts.
+    ///
+    /// # Errors
+    /// Those of the path; [`Cancelled`].
+    pub fn part_on<P: PosePath>(
+        &self,
+        positions: &mut [DVec3],
+        path: Option<&mut P>,
+        exec: &Exec<'_>,
+    ) -> Result<(), P::Error> {
         let vertices = self.mesh.positions.len();
         let base = &positions[..vertices];
         let before = match self.faults(base, None, 0.0, exec)? {
@@ -207,22 +235,41 @@ impl ContactSurface<'_> {
         };
         let mut parting = Parting::of(self, base, &before);
         parting.shorten_curves(exec)?;
-        if !parting.is_good() {
-            let shortened = std::mem::replace(&mut parting.best, parting.before.clone());
-            parting.meet_conditions(exec)?;
-            if parting.best.faults > 0 {
-                parting.shorten_curves(exec)?;
+        let mut best = parting.best_shape();
+        if !parting.is_good(&best) {
+            let mut is_free = false;
+            let followed = match path {
+                Some(path) => self.follow(base, path, exec)?,
+                None => None,
+            };
+            if let Some(at) = followed {
+                is_free = parting.weigh(self.freed(at, exec)?, &mut best, exec)? && best.faults == 0;
             }
-            if shortened.is_better(&parting.best) {
-                parting.best = shortened;
+            if !is_free {
+                parting.best = parting.before.clone();
+                parting.part_further(&mut best, exec)?;
             }
         }
-        let parted = displaced(base, &parting.region, &parting.best.moved);
-        let left = self.faults(&parted, None, 0.0, exec)?;
-        if parted.iter().all(|p| p.is_finite()) && left.is_some_and(|left| left.count() < before.count()) {
-            positions[..vertices].copy_from_slice(&parted);
+        let left = self.faults(&best.at, None, 0.0, exec)?;
+        if best.at.iter().all(|p| p.is_finite()) && left.is_some_and(|left| left.count() < before.count()) {
+            positions[..vertices].copy_from_slice(&best.at);
         }
         Ok(())
+    }
+
+    /// Parts what still crosses at the end of the way to a pose.
+    fn freed(&self, at: Vec<DVec3>, exec: &Exec<'_>) -> Result<Vec<DVec3>, Cancelled> {
+        let before = match self.faults(&at, None, 0.0, exec)? {
+            Some(before) if (1..=MOST_PARTED).contains(&before.count()) => before,
+            _ => return Ok(at),
+        };
+        let mut parting = Parting::of(self, &at, &before);
+        parting.shorten_curves(exec)?;
+        let mut best = parting.best_shape();
+        if !parting.is_good(&best) {
+            parting.part_further(&mut best, exec)?;
+        }
+        Ok(best.at)
     }
 
     /// How far edges are from their rest lengths, relative to these, on the mean.
@@ -303,7 +350,7 @@ impl Patience {
     }
 }
 
-impl Parted {
+impl PartedShape {
     fn is_better(&self, other: &Self) -> bool {
         self.faults < other.faults || (self.faults == other.faults && self.strain < other.strain)
     }
@@ -336,8 +383,42 @@ impl<'a> Parting<'a> {
     }
 
     /// Whether nothing crosses and edges are little further from their rest lengths than before.
-    fn is_good(&self) -> bool {
-        self.best.faults == 0 && self.best.strain <= LITTLE_STRAIN * self.before.strain
+    fn is_good(&self, shape: &PartedShape) -> bool {
+        shape.faults == 0 && shape.strain <= LITTLE_STRAIN * self.before.strain
+    }
+
+    /// The best shape so far.
+    fn best_shape(&self) -> PartedShape {
+        PartedShape {
+            at: displaced(self.base, &self.region, &self.best.moved),
+            faults: self.best.faults,
+            strain: self.best.strain,
+        }
+    }
+
+    /// How far edges may be from their rest lengths in a shape with so many faults. The more is parted, the more lengths may change: up
+    /// to twice as far as before, on the mean, and some beside that where the pose itself changes none.
+    fn most_strain(&self, faults: usize) -> f64 {
+        let parted = 1.0 - faults as f64 / self.before.faults as f64;
+        let least = match self.surface.at_rest {
+            RestCrossings::Stay => LEAST_STRAIN,
+            RestCrossings::Part(_) => LEAST_STRAIN_AT_REST,
+        };
+        self.before.strain + parted * parted * self.before.strain.max(least)
+    }
+
+    /// Puts a shape in the place of the `best` one where it is better; whether it was.
+    fn weigh(&self, at: Vec<DVec3>, best: &mut PartedShape, exec: &Exec<'_>) -> Result<bool, Cancelled> {
+        let Some(faults) = self.surface.faults(&at, None, 0.0, exec)? else {
+            return Ok(false);
+        };
+        let (faults, strain) = (faults.count(), self.surface.strain(&at));
+        let shape = PartedShape { at, faults, strain };
+        let is_better = faults < self.before.faults && strain <= self.most_strain(faults) && shape.is_better(best);
+        if is_better {
+            *best = shape;
+        }
+        Ok(is_better)
     }
 
     fn finder(&self, style: PartingStyle, normals: Vec<DVec3>, knowledge: Knowledge) -> ContactFinder<'_> {
@@ -369,15 +450,7 @@ impl<'a> Parting<'a> {
         let left = faults.count();
         if left < self.best.faults {
             let strain = self.surface.strain(&at);
-            // The more is parted, the more lengths of edges may change: up to twice as far as before, on the mean, and some beside that
-            // where the pose itself changes none.
-            let parted = 1.0 - left as f64 / self.before.faults as f64;
-            let least = match self.surface.at_rest {
-                RestCrossings::Stay => LEAST_STRAIN,
-                RestCrossings::Part(_) => LEAST_STRAIN_AT_REST,
-            };
-            let more = parted * parted * self.before.strain.max(least);
-            if strain <= self.before.strain + more {
+            if strain <= self.most_strain(left) {
                 self.best = Parted {
                     faults: left,
                     strain,
@@ -415,6 +488,20 @@ impl<'a> Parting<'a> {
                 Some(next) if !patience.ends(next.faults.count(), self.before.faults) => now = next,
                 _ => break,
             }
+        }
+        Ok(())
+    }
+
+    /// Goes on from the best displacement by conditions that stay in force, and shortens curves again where these do not suffice. Puts the
+    /// shape in the place of the `best` one where it is better.
+    fn part_further(&mut self, best: &mut PartedShape, exec: &Exec<'_>) -> Result<(), Cancelled> {
+        self.meet_conditions(exec)?;
+        if self.best.faults > 0 {
+            self.shorten_curves(exec)?;
+        }
+        let other = self.best_shape();
+        if other.is_better(best) {
+            *best = other;
         }
         Ok(())
     }

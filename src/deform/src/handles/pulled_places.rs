@@ -107,7 +107,7 @@ impl PulledPlaces {
         &self.points
     }
 
-    /// Whether a hold has targets.
+    /// Whether any hold has targets.
     pub fn has_targets(&self) -> bool {
         self.has_targets.contains(&true)
     }

@@ -156,6 +156,11 @@ impl HandleSystem {
         &self.rotation_fields
     }
 
+    /// Whether places are asked for beside the transforms of handles.
+    pub fn has_targets(&self) -> bool {
+        self.places.has_targets()
+    }
+
     /// By node: whether its position is given (held hard, frozen, or in a part that is placed by policy).
     pub fn given(&self) -> &[bool] {
         &self.positions.fixed

@@ -113,6 +113,27 @@ impl SolveState {
         self.extra = turns;
     }
 
+    /// Takes the last solution out, for [`SolveState::put_back`] after other poses were solved; memory stays.
+    pub fn take_solution(&mut self) -> Self {
+        Self {
+            x: std::mem::take(&mut self.x),
+            transforms: std::mem::take(&mut self.transforms),
+            extra: std::mem::take(&mut self.extra),
+            volume: std::mem::take(&mut self.volume),
+            borders: std::mem::take(&mut self.borders),
+            ..Self::default()
+        }
+    }
+
+    /// Puts back what [`SolveState::take_solution`] has taken out.
+    pub fn put_back(&mut self, kept: Self) {
+        self.x = kept.x;
+        self.transforms = kept.transforms;
+        self.extra = kept.extra;
+        self.volume = kept.volume;
+        self.borders = kept.borders;
+    }
+
     /// What frames leave to each other about surfaces that cross.
     pub fn contact(&mut self) -> &mut ContactMemory {
         &mut self.contact
