@@ -173,8 +173,9 @@ async fn a_model_that_crosses_itself_is_freed_of_that_and_undo_brings_it_back() 
     assert_eq!(answer.status(), 200);
     let edited: Value = answer.json().await.expect("JSON");
     let report = &edited["unintersect"];
-    assert!(report["crossingsBefore"].as_u64() > Some(0), "{report}");
-    assert_eq!(report["crossings"].as_u64().unwrap_or_default(), 0);
+    // 64-bit numbers are text in JSON.
+    assert_ne!(report["crossingsBefore"], "0", "{report}");
+    assert_eq!(report["crossings"], "0", "{report}");
     assert_eq!(at_rest(&crossings(&server, &id, json!({})).await), 0);
 
     let undone = post(&server, &format!("/v1/sessions/{id}/undo"), json!({})).await;
@@ -188,6 +189,6 @@ async fn a_model_that_crosses_itself_is_freed_of_that_and_undo_brings_it_back() 
     assert!(warnings.iter().any(|w| w["code"] == "contact-left"), "{kept}");
 
     let refused = post(&server, &path, json!({"unintersect": {"clearance": -1}})).await;
-    assert_eq!(refused.status(), 400);
+    assert_eq!(refused.status(), 422);
     assert!(refused.text().await.expect("text").contains("unintersect.clearance"));
 }

@@ -152,11 +152,10 @@ impl<'a> BuckleWatch<'a> {
         let Some(faults) = surface.faults(&fitted.positions[..vertices], self.exec)? else {
             return Ok(fitted);
         };
-        let fits = state.added_turns().to_vec();
         let mut best = Candidate {
             faults,
-            solved: fitted,
-            turns: fits,
+            solved: self.without_needless_frames(fitted),
+            turns: state.added_turns().to_vec(),
         };
         let mut plain = self.without_fits(state)?;
         self.let_volume_go(&surface, &mut best, state)?;
@@ -212,7 +211,7 @@ impl<'a> BuckleWatch<'a> {
             .solve(&self.derived.body, &request, state, self.exec, &mut |_| true)?;
         state.release_start();
         Ok(PlainPose {
-            solved: Some(solved),
+            solved: Some(self.without_needless_frames(solved)),
             finished: None,
         })
     }
@@ -293,7 +292,19 @@ impl<'a> BuckleWatch<'a> {
         self.exec.progress.begin_pass("faults");
         let positions = &solved.positions[..self.derived.mesh.positions.len()];
         let faults = surface.fewer_faults(positions, best, self.exec)?;
-        Ok(faults.map(|faults| Candidate { solved, turns, faults }))
+        Ok(faults.map(|faults| Candidate {
+            solved: self.without_needless_frames(solved),
+            turns,
+            faults,
+        }))
+    }
+
+    /// Several shapes are held at a time: where none is shown by its frames, they go.
+    fn without_needless_frames(&self, mut solved: SolvedNodes) -> SolvedNodes {
+        if self.derived.shows_without_frames() {
+            solved.frames = Vec::new();
+        }
+        solved
     }
 
     /// How far smoothing reaches in the first round, model units.

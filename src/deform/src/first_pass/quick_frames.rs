@@ -69,7 +69,7 @@ struct SplitTurn {
 }
 
 /// Frames of nodes side by side, and memory for making them.
-pub(crate) struct FrameBlock {
+pub(crate) struct NodeFrames {
     /// The row of the first; none has been asked for where that is beyond all.
     first: usize,
     frames: [MapColumns; SIDE_BY_SIDE],
@@ -83,7 +83,7 @@ struct BlockTerm {
     share: Numbers,
 }
 
-impl Default for FrameBlock {
+impl Default for NodeFrames {
     fn default() -> Self {
         Self {
             first: usize::MAX,
@@ -123,7 +123,7 @@ impl<'a> QuickFrames<'a> {
 
     /// The frame of the node in a row; `nodes` are those of all rows. `block` has those of the rows around it, from one call to the next.
     #[inline]
-    pub fn of_row(&self, row: usize, nodes: &[u32], block: &mut FrameBlock) -> MapColumns {
+    pub fn of_row(&self, row: usize, nodes: &[u32], block: &mut NodeFrames) -> MapColumns {
         match &self.axes {
             Axes::One(frames) => frames.at(&self.blend, nodes[row] as usize),
             Axes::Several(frames) => {
@@ -181,7 +181,7 @@ impl OneAxisFrames<'_> {
 
 impl SeveralAxesFrames {
     /// Makes the frames of up to [`SIDE_BY_SIDE`] nodes; a number that names none is passed over.
-    fn fill(&self, blend: &PoseBlend<'_>, nodes: &[u32], block: &mut FrameBlock) {
+    fn fill(&self, blend: &PoseBlend<'_>, nodes: &[u32], block: &mut NodeFrames) {
         let (mut start, mut base_share) = ([[0.0f32; SIDE_BY_SIDE]; 3], [1.0f32; SIDE_BY_SIDE]);
         let mut twists = [DVec3::ZERO; SIDE_BY_SIDE];
         self.gather(blend, nodes, &mut block.terms);
@@ -520,7 +520,7 @@ mod tests {
                 let blend = || PoseBlend::new(&body, &handles, &transforms, None);
                 let (exact, quick) = (blend(), QuickFrames::new(blend()));
                 let nodes: Vec<u32> = (0..body.nodes() as u32).rev().chain([u32::MAX; 3]).collect();
-                let mut block = FrameBlock::default();
+                let mut block = NodeFrames::default();
                 let mut worst = 0.0f64;
                 for (row, &node) in nodes.iter().enumerate().filter(|(_, node)| **node != u32::MAX) {
                     let node = node as usize;

@@ -9,7 +9,7 @@ use crate::body::DeformableBody;
 use crate::error::Error;
 use crate::field_terms::FieldTerms;
 use crate::first_pass::blend::{LocalFrame, PoseBlend};
-use crate::first_pass::quick_frames::{FrameBlock, QuickFrames};
+use crate::first_pass::quick_frames::{NodeFrames, QuickFrames};
 use crate::handles::motion::moved_by;
 use crate::handles::ownership::UNHELD;
 use crate::handles::system::HandleSystem;
@@ -214,7 +214,7 @@ struct RowPass<'a, M> {
 impl<M: Fn(DVec3) -> DVec3 + Send + Sync> RowPass<'_, M> {
     fn run(&self, rows: &mut DragRows, pool: &Pool) {
         let vertices = self.body.hierarchy.row_vertices();
-        rows.pose.place_rows(pool, FrameBlock::default, |block, row, frame, x| {
+        rows.pose.place_rows(pool, NodeFrames::default, |block, row, frame, x| {
             if let Some(&later) = vertices.get(row + AHEAD).filter(|later| **later != NO_NODE) {
                 self.prefetch(later as usize);
             }
