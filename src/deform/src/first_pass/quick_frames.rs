@@ -8,13 +8,11 @@ use crate::first_pass::blend::PoseBlend;
 use crate::rotation::KARCHER_STEPS;
 use glam::{DMat3, DQuat, DVec3, Mat3, Quat};
 use pliant_mesh::rotation::exp_rotation;
-use pliant_solver::{MapColumns, prefetch};
+use pliant_solver::{Lanes, MapColumns, prefetch};
 use std::f64::consts::{FRAC_2_PI, FRAC_PI_2};
 
-/// Nodes that go side by side.
-const SIDE_BY_SIDE: usize = 8;
-/// A number of each of them.
-type Numbers = [f32; SIDE_BY_SIDE];
+/// Nodes that go side by side, one in each lane.
+const SIDE_BY_SIDE: usize = 4;
 /// The identity.
 const STILL: MapColumns = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
 /// Steps towards the mean rotation end where none is longer than the root of this, in radians.
@@ -76,11 +74,12 @@ pub(crate) struct NodeFrames {
     terms: Vec<BlockTerm>,
 }
 
-/// One rotation for each of the nodes side by side, by its number and as a unit quaternion, and its share there.
+/// One rotation for each of the nodes side by side, by its number, its swing as a vector and as a unit quaternion, and its share there.
 struct BlockTerm {
     number: [u32; SIDE_BY_SIDE],
-    turn: [Numbers; 4],
-    share: Numbers,
+    swing: [Lanes; 3],
+    turn: [Lanes; 4],
+    share: Lanes,
 }
 
 impl Default for NodeFrames {
@@ -182,29 +181,29 @@ impl OneAxisFrames<'_> {
 impl SeveralAxesFrames {
     /// Makes the frames of up to [`SIDE_BY_SIDE`] nodes; a number that names none is passed over.
     fn fill(&self, blend: &PoseBlend<'_>, nodes: &[u32], block: &mut NodeFrames) {
-        let (mut start, mut base_share) = ([[0.0f32; SIDE_BY_SIDE]; 3], [1.0f32; SIDE_BY_SIDE]);
-        let mut twists = [DVec3::ZERO; SIDE_BY_SIDE];
         self.gather(blend, nodes, &mut block.terms);
+        let (mut start, mut base_share) = ([Lanes::ZERO; 3], splat(1.0));
+        let mut twists = [DVec3::ZERO; SIDE_BY_SIDE];
         for term in &block.terms {
-            for lane in 0..SIDE_BY_SIDE {
-                let (share, turn) = (term.share[lane], &self.turns[term.number[lane] as usize]);
-                base_share[lane] -= share;
-                (0..3).for_each(|c| start[c][lane] += turn.swing[c] * share);
-                if self.twists {
-                    twists[lane] += turn.twist * f64::from(share);
-                }
+            base_share -= term.share;
+            start
+                .iter_mut()
+                .zip(&term.swing)
+                .for_each(|(sum, part)| *sum += *part * term.share);
+            for (lane, twist) in twists.iter_mut().enumerate().filter(|_| self.twists) {
+                *twist += self.turns[term.number[lane] as usize].twist * f64::from(term.share.0[lane]);
             }
         }
         let mut mean = exp_vectors(&start);
         if self.karcher > 0.0 {
-            self.step_to_mean(&mut mean, &base_share, &block.terms);
+            self.step_to_mean(&mut mean, base_share, &block.terms);
         }
         for (lane, out) in block.frames.iter_mut().enumerate() {
             let node = nodes.get(lane).map_or(usize::MAX, |node| *node as usize);
             if node >= blend.component.len() {
                 continue;
             }
-            let [x, y, z, w] = mean.map(|part| part[lane]);
+            let [x, y, z, w] = mean.map(|part| part.0[lane]);
             let mut turn = Quat::from_xyzw(x, y, z, w);
             if twists[lane] != DVec3::ZERO {
                 turn *= exp_rotation(twists[lane]).as_quat();
@@ -226,10 +225,10 @@ impl SeveralAxesFrames {
             FieldTerms::Whole(fields) => {
                 for &(field, number) in fields {
                     let mut term = BlockTerm::of(number as u32, &self.turns[number]);
-                    for (share, &node) in term.share.iter_mut().zip(nodes).filter(|(_, node)| covered(**node)) {
+                    for (share, &node) in term.share.0.iter_mut().zip(nodes).filter(|(_, node)| covered(**node)) {
                         *share = field.get(node as usize).map_or(0.0, |share| share.max(0.0));
                     }
-                    if term.share != [0.0; SIDE_BY_SIDE] {
+                    if term.share != Lanes::ZERO {
                         terms.push(term);
                     }
                 }
@@ -251,23 +250,19 @@ impl SeveralAxesFrames {
     }
 
     /// Steps from the sum of vectors towards the Karcher mean, as [`RotationBlending`](crate::rotation::RotationBlending) does.
-    fn step_to_mean(&self, mean: &mut [Numbers; 4], base_share: &Numbers, terms: &[BlockTerm]) {
+    fn step_to_mean(&self, mean: &mut [Lanes; 4], base_share: Lanes, terms: &[BlockTerm]) {
         for _ in 0..KARCHER_STEPS {
             let [x, y, z, w] = *mean;
-            let back = [x.map(|v| -v), y.map(|v| -v), z.map(|v| -v), w];
-            let mut step = [[0.0f32; SIDE_BY_SIDE]; 3];
+            let back = [Lanes::ZERO - x, Lanes::ZERO - y, Lanes::ZERO - z, w];
+            let mut step = [Lanes::ZERO; 3];
             add_logarithms(&back, base_share, &mut step);
             for term in terms {
-                add_logarithms(&product(&back, &term.turn), &term.share, &mut step);
+                add_logarithms(&product(&back, &term.turn), term.share, &mut step);
             }
-            let mut longest = 0.0f32;
-            for lane in 0..SIDE_BY_SIDE {
-                let [x, y, z] = step.map(|part| part[lane]);
-                longest = longest.max(x * x + y * y + z * z);
-            }
-            let step = step.map(|part| part.map(|v| v * self.karcher));
+            let lengths = step[0] * step[0] + step[1] * step[1] + step[2] * step[2];
+            let step = step.map(|part| part * self.karcher);
             *mean = normalized(&product(mean, &exp_vectors(&step)));
-            if longest < SHORT_STEP {
+            if lengths.0.into_iter().fold(0.0, f32::max) < SHORT_STEP {
                 break;
             }
         }
@@ -279,41 +274,48 @@ impl BlockTerm {
     fn of(number: u32, turn: &SplitTurn) -> Self {
         Self {
             number: [number; SIDE_BY_SIDE],
-            turn: turn.turn.map(|part| [part; SIDE_BY_SIDE]),
-            share: [0.0; SIDE_BY_SIDE],
+            swing: turn.swing.map(splat),
+            turn: turn.turn.map(splat),
+            share: Lanes::ZERO,
         }
     }
 
     fn set(&mut self, lane: usize, number: u32, turn: &SplitTurn, share: f32) {
         self.number[lane] = number;
-        self.share[lane] = share;
-        (0..4).for_each(|c| self.turn[c][lane] = turn.turn[c]);
+        self.share.0[lane] = share;
+        (0..3).for_each(|c| self.swing[c].0[lane] = turn.swing[c]);
+        (0..4).for_each(|c| self.turn[c].0[lane] = turn.turn[c]);
     }
+}
+
+#[inline(always)]
+fn splat(number: f32) -> Lanes {
+    Lanes([number; SIDE_BY_SIDE])
+}
+
+/// Sums parts times rising powers.
+#[inline(always)]
+fn polynomial<const PARTS: usize>(parts: &[f32; PARTS], of: Lanes) -> Lanes {
+    let rest = parts[..PARTS - 1].iter().rev();
+    rest.fold(splat(parts[PARTS - 1]), |sum, part| sum * of + splat(*part))
 }
 
 /// Products of unit quaternions x, y, z, w.
-#[inline]
-fn product(a: &[Numbers; 4], b: &[Numbers; 4]) -> [Numbers; 4] {
-    let mut out = [[0.0; SIDE_BY_SIDE]; 4];
-    for k in 0..SIDE_BY_SIDE {
-        let ([ax, ay, az, aw], [bx, by, bz, bw]) = (a.map(|v| v[k]), b.map(|v| v[k]));
-        out[0][k] = aw * bx + ax * bw + ay * bz - az * by;
-        out[1][k] = aw * by - ax * bz + ay * bw + az * bx;
-        out[2][k] = aw * bz + ax * by - ay * bx + az * bw;
-        out[3][k] = aw * bw - ax * bx - ay * by - az * bz;
-    }
-    out
+#[inline(always)]
+fn product([ax, ay, az, aw]: &[Lanes; 4], [bx, by, bz, bw]: &[Lanes; 4]) -> [Lanes; 4] {
+    [
+        *aw * *bx + *ax * *bw + *ay * *bz - *az * *by,
+        *aw * *by - *ax * *bz + *ay * *bw + *az * *bx,
+        *aw * *bz + *ax * *by - *ay * *bx + *az * *bw,
+        *aw * *bw - *ax * *bx - *ay * *by - *az * *bz,
+    ]
 }
 
-#[inline]
-fn normalized(q: &[Numbers; 4]) -> [Numbers; 4] {
-    let mut out = *q;
-    for k in 0..SIDE_BY_SIDE {
-        let [x, y, z, w] = q.map(|v| v[k]);
-        let per_length = 1.0 / (x * x + y * y + z * z + w * w).sqrt();
-        out.iter_mut().for_each(|v| v[k] *= per_length);
-    }
-    out
+#[inline(always)]
+fn normalized(q: &[Lanes; 4]) -> [Lanes; 4] {
+    let squares = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
+    let per_length = Lanes(squares.0.map(|square| 1.0 / square.sqrt()));
+    q.map(|part| part * per_length)
 }
 
 /// Twice the arc cosine of 1 − t by the root of t (2 − t), which takes the vector part of a unit quaternion with the real part 1 − t to
@@ -332,27 +334,19 @@ const ARC: [f32; 10] = [
 ];
 
 /// Adds the rotation vectors of unit quaternions times their shares.
-#[inline]
-fn add_logarithms(turn: &[Numbers; 4], share: &Numbers, sum: &mut [Numbers; 3]) {
-    let mut factor = [0.0f32; SIDE_BY_SIDE];
-    for k in 0..SIDE_BY_SIDE {
-        let w = turn[3][k];
-        let t = 1.0 - w.abs();
-        let arc = ARC.iter().rev().fold(0.0, |sum, part| sum * t + part);
-        // Both signs are the same rotation.
-        factor[k] = arc.copysign(w) * share[k];
-    }
-    for (sum, part) in sum.iter_mut().zip(turn) {
-        for k in 0..SIDE_BY_SIDE {
-            sum[k] += part[k] * factor[k];
-        }
-    }
+#[inline(always)]
+fn add_logarithms(turn: &[Lanes; 4], share: Lanes, sum: &mut [Lanes; 3]) {
+    let arc = polynomial(&ARC, splat(1.0) - Lanes(turn[3].0.map(f32::abs)));
+    // Both signs are the same rotation.
+    let signed = Lanes(std::array::from_fn(|k| arc.0[k].copysign(turn[3].0[k])));
+    let factor = signed * share;
+    sum.iter_mut().zip(turn).for_each(|(sum, part)| *sum += *part * factor);
 }
 
 /// The unit quaternions of rotation vectors, of no more than half a turn: Taylor series of sine and cosine in the square of the half
 /// angle s, off by less than (π/2)¹⁴ / 14! < 7e-9.
-#[inline]
-fn exp_vectors(vectors: &[Numbers; 3]) -> [Numbers; 4] {
+#[inline(always)]
+fn exp_vectors(vectors: &[Lanes; 3]) -> [Lanes; 4] {
     const SINE: [f32; 7] = [
         1.0,
         -1.0 / 6.0,
@@ -371,18 +365,10 @@ fn exp_vectors(vectors: &[Numbers; 3]) -> [Numbers; 4] {
         -1.0 / 3_628_800.0,
         1.0 / 479_001_600.0,
     ];
-    let mut out = [[0.0; SIDE_BY_SIDE]; 4];
-    for k in 0..SIDE_BY_SIDE {
-        let [x, y, z] = vectors.map(|v| v[k]);
-        let square = 0.25 * (x * x + y * y + z * z);
-        let series = |parts: &[f32; 7]| parts.iter().rev().fold(0.0, |sum, part| sum * square + part);
-        let half_sine = 0.5 * series(&SINE);
-        out[0][k] = x * half_sine;
-        out[1][k] = y * half_sine;
-        out[2][k] = z * half_sine;
-        out[3][k] = series(&COSINE);
-    }
-    out
+    let [x, y, z] = *vectors;
+    let square = (x * x + y * y + z * z) * 0.25;
+    let half_sine = polynomial(&SINE, square) * 0.5;
+    [x * half_sine, y * half_sine, z * half_sine, polynomial(&COSINE, square)]
 }
 
 fn columns(map: &Mat3) -> MapColumns {
@@ -458,18 +444,18 @@ mod tests {
             let angle = f64::from(k) * (std::f64::consts::PI / 4000.0);
             let vector = DVec3::new(2.0, -1.0, 2.0) / 3.0 * angle;
             let exact = exp_rotation(vector);
-            let single = vector.as_vec3().to_array().map(|v| [v; SIDE_BY_SIDE]);
+            let single = vector.as_vec3().to_array().map(splat);
             let turn = exp_vectors(&single);
             for (quick, exact) in turn.iter().zip(exact.to_array()) {
-                worst[0] = worst[0].max((f64::from(quick[3]) - exact).abs());
+                worst[0] = worst[0].max((f64::from(quick.0[3]) - exact).abs());
             }
             // Of either sign of the quaternion.
             for sign in [1.0f32, -1.0] {
-                let mut sum = [[0.0; SIDE_BY_SIDE]; 3];
-                let turn = exact.as_quat().to_array().map(|v| [v * sign; SIDE_BY_SIDE]);
-                add_logarithms(&turn, &[1.0; SIDE_BY_SIDE], &mut sum);
+                let mut sum = [Lanes::ZERO; 3];
+                let turn = exact.as_quat().to_array().map(|v| splat(v * sign));
+                add_logarithms(&turn, splat(1.0), &mut sum);
                 for (quick, exact) in sum.iter().zip(vector.to_array()) {
-                    worst[1] = worst[1].max((f64::from(quick[5]) - exact).abs());
+                    worst[1] = worst[1].max((f64::from(quick.0[2]) - exact).abs());
                 }
             }
         }
