@@ -6,9 +6,9 @@
 use crate::field_terms::FieldTerms;
 use crate::first_pass::blend::PoseBlend;
 use crate::rotation::KARCHER_STEPS;
-use glam::{DMat3, DQuat, DVec3, Mat3, Quat};
+use glam::{DMat3, DQuat, DVec3, Mat3, Quat, Vec4};
 use pliant_mesh::rotation::exp_rotation;
-use pliant_solver::{Lanes, MapColumns, prefetch};
+use pliant_solver::{MapColumns, prefetch};
 use std::f64::consts::{FRAC_2_PI, FRAC_PI_2};
 
 /// Nodes that go side by side, one in each lane.
@@ -77,9 +77,9 @@ pub(crate) struct NodeFrames {
 /// One rotation for each of the nodes side by side, by its number, its swing as a vector and as a unit quaternion, and its share there.
 struct BlockTerm {
     number: [u32; SIDE_BY_SIDE],
-    swing: [Lanes; 3],
-    turn: [Lanes; 4],
-    share: Lanes,
+    swing: [Vec4; 3],
+    turn: [Vec4; 4],
+    share: Vec4,
 }
 
 impl Default for NodeFrames {
@@ -182,7 +182,7 @@ impl SeveralAxesFrames {
     /// Makes the frames of up to [`SIDE_BY_SIDE`] nodes; a number that names none is passed over.
     fn fill(&self, blend: &PoseBlend<'_>, nodes: &[u32], block: &mut NodeFrames) {
         self.gather(blend, nodes, &mut block.terms);
-        let (mut start, mut base_share) = ([Lanes::ZERO; 3], splat(1.0));
+        let (mut start, mut base_share) = ([Vec4::ZERO; 3], Vec4::splat(1.0));
         let mut twists = [DVec3::ZERO; SIDE_BY_SIDE];
         for term in &block.terms {
             base_share -= term.share;
@@ -191,7 +191,7 @@ impl SeveralAxesFrames {
                 .zip(&term.swing)
                 .for_each(|(sum, part)| *sum += *part * term.share);
             for (lane, twist) in twists.iter_mut().enumerate().filter(|_| self.twists) {
-                *twist += self.turns[term.number[lane] as usize].twist * f64::from(term.share.0[lane]);
+                *twist += self.turns[term.number[lane] as usize].twist * f64::from(term.share[lane]);
             }
         }
         let mut mean = exp_vectors(&start);
@@ -203,7 +203,7 @@ impl SeveralAxesFrames {
             if node >= blend.component.len() {
                 continue;
             }
-            let [x, y, z, w] = mean.map(|part| part.0[lane]);
+            let [x, y, z, w] = mean.map(|part| part[lane]);
             let mut turn = Quat::from_xyzw(x, y, z, w);
             if twists[lane] != DVec3::ZERO {
                 turn *= exp_rotation(twists[lane]).as_quat();
@@ -225,10 +225,10 @@ impl SeveralAxesFrames {
             FieldTerms::Whole(fields) => {
                 for &(field, number) in fields {
                     let mut term = BlockTerm::of(number as u32, &self.turns[number]);
-                    for (share, &node) in term.share.0.iter_mut().zip(nodes).filter(|(_, node)| covered(**node)) {
-                        *share = field.get(node as usize).map_or(0.0, |share| share.max(0.0));
+                    for (lane, &node) in nodes.iter().enumerate().filter(|(_, node)| covered(**node)) {
+                        term.share[lane] = field.get(node as usize).map_or(0.0, |share| share.max(0.0));
                     }
-                    if term.share != Lanes::ZERO {
+                    if term.share != Vec4::ZERO {
                         terms.push(term);
                     }
                 }
@@ -250,11 +250,11 @@ impl SeveralAxesFrames {
     }
 
     /// Steps from the sum of vectors towards the Karcher mean, as [`RotationBlending`](crate::rotation::RotationBlending) does.
-    fn step_to_mean(&self, mean: &mut [Lanes; 4], base_share: Lanes, terms: &[BlockTerm]) {
+    fn step_to_mean(&self, mean: &mut [Vec4; 4], base_share: Vec4, terms: &[BlockTerm]) {
         for _ in 0..KARCHER_STEPS {
             let [x, y, z, w] = *mean;
-            let back = [Lanes::ZERO - x, Lanes::ZERO - y, Lanes::ZERO - z, w];
-            let mut step = [Lanes::ZERO; 3];
+            let back = [Vec4::ZERO - x, Vec4::ZERO - y, Vec4::ZERO - z, w];
+            let mut step = [Vec4::ZERO; 3];
             add_logarithms(&back, base_share, &mut step);
             for term in terms {
                 add_logarithms(&product(&back, &term.turn), term.share, &mut step);
@@ -262,7 +262,7 @@ impl SeveralAxesFrames {
             let lengths = step[0] * step[0] + step[1] * step[1] + step[2] * step[2];
             let step = step.map(|part| part * self.karcher);
             *mean = normalized(&product(mean, &exp_vectors(&step)));
-            if lengths.0.into_iter().fold(0.0, f32::max) < SHORT_STEP {
+            if lengths.max_element() < SHORT_STEP {
                 break;
             }
         }
@@ -274,35 +274,30 @@ impl BlockTerm {
     fn of(number: u32, turn: &SplitTurn) -> Self {
         Self {
             number: [number; SIDE_BY_SIDE],
-            swing: turn.swing.map(splat),
-            turn: turn.turn.map(splat),
-            share: Lanes::ZERO,
+            swing: turn.swing.map(Vec4::splat),
+            turn: turn.turn.map(Vec4::splat),
+            share: Vec4::ZERO,
         }
     }
 
     fn set(&mut self, lane: usize, number: u32, turn: &SplitTurn, share: f32) {
         self.number[lane] = number;
-        self.share.0[lane] = share;
-        (0..3).for_each(|c| self.swing[c].0[lane] = turn.swing[c]);
-        (0..4).for_each(|c| self.turn[c].0[lane] = turn.turn[c]);
+        self.share[lane] = share;
+        (0..3).for_each(|c| self.swing[c][lane] = turn.swing[c]);
+        (0..4).for_each(|c| self.turn[c][lane] = turn.turn[c]);
     }
-}
-
-#[inline(always)]
-fn splat(number: f32) -> Lanes {
-    Lanes([number; SIDE_BY_SIDE])
 }
 
 /// Sums parts times rising powers.
 #[inline(always)]
-fn polynomial<const PARTS: usize>(parts: &[f32; PARTS], of: Lanes) -> Lanes {
+fn polynomial<const PARTS: usize>(parts: &[f32; PARTS], of: Vec4) -> Vec4 {
     let rest = parts[..PARTS - 1].iter().rev();
-    rest.fold(splat(parts[PARTS - 1]), |sum, part| sum * of + splat(*part))
+    rest.fold(Vec4::splat(parts[PARTS - 1]), |sum, part| sum * of + Vec4::splat(*part))
 }
 
 /// Products of unit quaternions x, y, z, w.
 #[inline(always)]
-fn product([ax, ay, az, aw]: &[Lanes; 4], [bx, by, bz, bw]: &[Lanes; 4]) -> [Lanes; 4] {
+fn product([ax, ay, az, aw]: &[Vec4; 4], [bx, by, bz, bw]: &[Vec4; 4]) -> [Vec4; 4] {
     [
         *aw * *bx + *ax * *bw + *ay * *bz - *az * *by,
         *aw * *by - *ax * *bz + *ay * *bw + *az * *bx,
@@ -312,9 +307,9 @@ fn product([ax, ay, az, aw]: &[Lanes; 4], [bx, by, bz, bw]: &[Lanes; 4]) -> [Lan
 }
 
 #[inline(always)]
-fn normalized(q: &[Lanes; 4]) -> [Lanes; 4] {
+fn normalized(q: &[Vec4; 4]) -> [Vec4; 4] {
     let squares = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
-    let per_length = Lanes(squares.0.map(|square| 1.0 / square.sqrt()));
+    let per_length = squares.map(|square| 1.0 / square.sqrt());
     q.map(|part| part * per_length)
 }
 
@@ -335,10 +330,10 @@ const ARC: [f32; 10] = [
 
 /// Adds the rotation vectors of unit quaternions times their shares.
 #[inline(always)]
-fn add_logarithms(turn: &[Lanes; 4], share: Lanes, sum: &mut [Lanes; 3]) {
-    let arc = polynomial(&ARC, splat(1.0) - Lanes(turn[3].0.map(f32::abs)));
+fn add_logarithms(turn: &[Vec4; 4], share: Vec4, sum: &mut [Vec4; 3]) {
+    let arc = polynomial(&ARC, Vec4::splat(1.0) - turn[3].abs());
     // Both signs are the same rotation.
-    let signed = Lanes(std::array::from_fn(|k| arc.0[k].copysign(turn[3].0[k])));
+    let signed = arc.copysign(turn[3]);
     let factor = signed * share;
     sum.iter_mut().zip(turn).for_each(|(sum, part)| *sum += *part * factor);
 }
@@ -346,7 +341,7 @@ fn add_logarithms(turn: &[Lanes; 4], share: Lanes, sum: &mut [Lanes; 3]) {
 /// The unit quaternions of rotation vectors, of no more than half a turn: Taylor series of sine and cosine in the square of the half
 /// angle s, off by less than (π/2)¹⁴ / 14! < 7e-9.
 #[inline(always)]
-fn exp_vectors(vectors: &[Lanes; 3]) -> [Lanes; 4] {
+fn exp_vectors(vectors: &[Vec4; 3]) -> [Vec4; 4] {
     const SINE: [f32; 7] = [
         1.0,
         -1.0 / 6.0,
@@ -444,18 +439,18 @@ mod tests {
             let angle = f64::from(k) * (std::f64::consts::PI / 4000.0);
             let vector = DVec3::new(2.0, -1.0, 2.0) / 3.0 * angle;
             let exact = exp_rotation(vector);
-            let single = vector.as_vec3().to_array().map(splat);
+            let single = vector.as_vec3().to_array().map(Vec4::splat);
             let turn = exp_vectors(&single);
             for (quick, exact) in turn.iter().zip(exact.to_array()) {
-                worst[0] = worst[0].max((f64::from(quick.0[3]) - exact).abs());
+                worst[0] = worst[0].max((f64::from(quick[3]) - exact).abs());
             }
             // Of either sign of the quaternion.
             for sign in [1.0f32, -1.0] {
-                let mut sum = [Lanes::ZERO; 3];
-                let turn = exact.as_quat().to_array().map(|v| splat(v * sign));
-                add_logarithms(&turn, splat(1.0), &mut sum);
+                let mut sum = [Vec4::ZERO; 3];
+                let turn = exact.as_quat().to_array().map(|v| Vec4::splat(v * sign));
+                add_logarithms(&turn, Vec4::splat(1.0), &mut sum);
                 for (quick, exact) in sum.iter().zip(vector.to_array()) {
-                    worst[1] = worst[1].max((f64::from(quick.0[2]) - exact).abs());
+                    worst[1] = worst[1].max((f64::from(quick[2]) - exact).abs());
                 }
             }
         }
