@@ -1,7 +1,6 @@
 //! What a session is reckoned to take, beside what it takes at its most: of opening, handles, a drag and a commit.
 
-#![allow(unsafe_code)]
-
+use peak_memory::{PeakAllocator, peak_of_all};
 use pliant::asset::{FileSet, shapes};
 use pliant::engine::{Deformer, DeformerLimits, SolveMode, SolveSettings};
 use pliant::exec::Exec;
@@ -9,53 +8,12 @@ use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::wire::pb::create_options::volume_graph::Kind;
 use pliant::wire::{self, pb};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::fmt::Write as _;
-use std::sync::atomic::{AtomicI64, Ordering::Relaxed};
 
-/// Hands everything to the system's allocator, and knows what is held and what was held at most, by all threads.
-struct HeldBytes;
-
-static HELD: AtomicI64 = AtomicI64::new(0);
-static MOST: AtomicI64 = AtomicI64::new(0);
-
-fn count(bytes: i64) {
-    let held = HELD.fetch_add(bytes, Relaxed) + bytes;
-    MOST.fetch_max(held, Relaxed);
-}
-
-// SAFETY: every call goes to the system's allocator as it came.
-unsafe impl GlobalAlloc for HeldBytes {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count(layout.size() as i64);
-        // SAFETY: by the caller's promise.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
-        count(layout.size() as i64);
-        // SAFETY: by the caller's promise.
-        unsafe { System.alloc_zeroed(layout) }
-    }
-
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        // Where the block moves, both are held for a moment.
-        count(size as i64);
-        // SAFETY: by the caller's promise.
-        let moved = unsafe { System.realloc(pointer, layout, size) };
-        count(-(layout.size() as i64));
-        moved
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        count(-(layout.size() as i64));
-        // SAFETY: by the caller's promise.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
+#[path = "support/peak_memory.rs"]
+mod peak_memory;
 
 #[global_allocator]
-static ALLOCATOR: HeldBytes = HeldBytes;
+static ALLOCATOR: PeakAllocator = PeakAllocator;
 
 /// The handle of all that is further along an axis than this.
 fn end(id: &str, normal: [f64; 3], offset: f64) -> pb::Handle {
@@ -72,19 +30,22 @@ fn end(id: &str, normal: [f64; 3], offset: f64) -> pb::Handle {
     }
 }
 
-/// The estimate of a ball with an inside of this kind, and the bytes that are held at most while it is opened, dragged and bent.
-fn estimate_and_most(kind: Kind) -> (u64, u64) {
+/// A ball as a file.
+fn ball() -> FileSet {
     let (positions, triangles) = shapes::icosphere(1.0, 6);
     let mut text = String::new();
     for p in &positions {
-        writeln!(text, "v {} {} {}", p.x, p.y, p.z).expect("fits");
+        text += &format!("v {} {} {}\n", p.x, p.y, p.z);
     }
     for [a, b, c] in triangles.iter().map(|t| t.map(|v| v + 1)) {
-        writeln!(text, "f {a} {b} {c}").expect("fits");
+        text += &format!("f {a} {b} {c}\n");
     }
-    drop((positions, triangles));
-    let before = HELD.load(Relaxed);
-    MOST.store(before, Relaxed);
+    text.shrink_to_fit();
+    FileSet::single("ball.obj", text.into_bytes())
+}
+
+/// Opens a ball with an inside of this kind, drags it and bends it; returns the estimate.
+fn estimate_and_bend(kind: Kind) -> u64 {
     let pool = Pool::new(1).expect("a thread");
     let exec = Exec::new(&pool, &Silent);
     let create = pb::CreateOptions {
@@ -95,8 +56,7 @@ fn estimate_and_most(kind: Kind) -> (u64, u64) {
         ..Default::default()
     };
     let options = wire::open_options(&create).expect("options");
-    let files = FileSet::single("ball.obj", text.into_bytes());
-    let mut deformer = Deformer::open(files, &options, &DeformerLimits::default(), &exec).expect("a ball");
+    let mut deformer = Deformer::open(ball(), &options, &DeformerLimits::default(), &exec).expect("a ball");
     let estimate = deformer.estimate();
     let handles = pb::SetHandlesRequest {
         handles: vec![end("low", [0.0, -1.0, 0.0], 0.8), end("high", [0.0, 1.0, 0.0], 0.8)],
@@ -128,15 +88,14 @@ fn estimate_and_most(kind: Kind) -> (u64, u64) {
             .solve(&poses, &settings, mode, &exec, &mut |_| true)
             .expect("a shape");
     }
-    let most = MOST.load(Relaxed) - before;
-    (estimate, u64::try_from(most).expect("more is held than before"))
+    estimate
 }
 
 // One test, so that nothing else in the process allocates meanwhile.
 #[test]
 fn a_session_is_reckoned_to_take_what_it_takes_at_its_most() {
     for kind in [Kind::Shape, Kind::Paper] {
-        let (estimate, most) = estimate_and_most(kind);
+        let (estimate, most) = peak_of_all(|| estimate_and_bend(kind));
         println!("{kind:?}: {estimate} bytes reckoned, {most} held at most");
         assert!(
             most <= estimate,

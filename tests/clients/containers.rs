@@ -93,6 +93,18 @@ fn variables(whole: &Value, places: &[(&str, &str)]) -> Vec<(String, String)> {
     given.iter().map(|(name, value)| (name.clone(), here(value))).collect()
 }
 
+/// Opens a session, starts the server again, and finds it there.
+async fn check_that_sessions_stay(start: impl Fn() -> Result<ServedProgram, String>, token: &str) {
+    let mut server = start().expect("it starts");
+    let opened = server.post("/v1/sessions?sample=creature").bearer_auth(token);
+    assert_eq!(opened.send().await.expect("an answer").status().as_u16(), 201);
+    server.stop().await;
+    server = start().expect("it starts again");
+    let listed = server.get("/v1/sessions").bearer_auth(token).send().await;
+    let listed: Value = listed.expect("an answer").json().await.expect("JSON");
+    assert_eq!(listed["sessions"].as_array().map(Vec::len), Some(1), "{listed}");
+}
+
 /// Starts the server as the container would; the log where it does not come up. The image's healthcheck is asked as well.
 fn start(whole: &Value, config: &Path, places: &[(&str, &str)]) -> Result<ServedProgram, String> {
     let port = TcpListener::bind("127.0.0.1:0").and_then(|free| free.local_addr());
@@ -135,14 +147,7 @@ async fn what_compose_sets_starts_the_server_and_its_sessions_stay() {
 
     let (token, lines) = new_token();
     fs::write(&config, lines).expect("written");
-    let mut server = start(&whole, &config, &places).expect("it starts");
-    let opened = server.post("/v1/sessions?sample=creature").bearer_auth(&token);
-    assert_eq!(opened.send().await.expect("an answer").status().as_u16(), 201);
-    server.stop().await;
-    server = start(&whole, &config, &places).expect("it starts again");
-    let listed = server.get("/v1/sessions").bearer_auth(&token).send().await;
-    let listed: Value = listed.expect("an answer").json().await.expect("JSON");
-    assert_eq!(listed["sessions"].as_array().map(Vec::len), Some(1), "{listed}");
+    check_that_sessions_stay(|| start(&whole, &config, &places), &token).await;
 
     let set = variables(&whole, &[]);
     let set = |key: &str| &set.iter().find(|(name, _)| name == key).expect(key).1;
@@ -211,14 +216,7 @@ async fn compose_with_postgres_keeps_sessions_in_its_database() {
         ("/var/lib/pliant", data.to_str().expect("UTF-8")),
         (own, database.url.as_str()),
     ];
-    let mut server = start(&whole, &config, &places).expect("it starts");
-    let opened = server.post("/v1/sessions?sample=creature").bearer_auth(&token);
-    assert_eq!(opened.send().await.expect("an answer").status().as_u16(), 201);
-    server.stop().await;
-    server = start(&whole, &config, &places).expect("it starts again");
-    let listed = server.get("/v1/sessions").bearer_auth(&token).send().await;
-    let listed: Value = listed.expect("an answer").json().await.expect("JSON");
-    assert_eq!(listed["sessions"].as_array().map(Vec::len), Some(1), "{listed}");
+    check_that_sessions_stay(|| start(&whole, &config, &places), &token).await;
     assert!(!data.join("sessions.sqlite").exists(), "the rows are in PostgreSQL");
 }
 

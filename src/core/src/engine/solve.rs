@@ -115,6 +115,14 @@ impl Deformer {
         Ok(transforms)
     }
 
+    /// What is held beside the memory of contact; not counted where there is none, for frames are many.
+    fn held_beside(&self, contact: Contact) -> u64 {
+        match contact {
+            Contact::Ignored => 0,
+            Contact::Avoided { .. } => self.byte_size(),
+        }
+    }
+
     /// Solves a pose. `watch` is called after every cycle; `false` takes the result as it is. Methods other than
     /// [`Method::Harmonic`] are for comparison.
     ///
@@ -133,7 +141,7 @@ impl Deformer {
         self.check_request(settings, mode, exec)?;
         let free = self.handles.turning_freely(&poses.0);
         let limits = self.room_limits();
-        let beside = HeldBeside::within(self.byte_size(), limits.memory_bytes, exec.progress);
+        let beside = HeldBeside::within(self.held_beside(settings.contact), limits.memory_bytes, exec.progress);
         let Self {
             handle_system: Some(handle_system),
             state,
