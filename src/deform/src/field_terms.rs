@@ -28,6 +28,18 @@ impl<'a, T> FieldTerms<'a, T> {
         }
     }
 
+    /// The same fields with other values.
+    pub fn map<U>(self, to: impl Fn(T) -> U) -> FieldTerms<'a, U> {
+        match self {
+            Self::Whole(terms) => {
+                FieldTerms::Whole(terms.into_iter().map(|(field, value)| (field, to(value))).collect())
+            }
+            Self::Sparse(shares, values) => {
+                FieldTerms::Sparse(shares, values.into_iter().map(|value| value.map(&to)).collect())
+            }
+        }
+    }
+
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         match self {
@@ -55,12 +67,35 @@ impl<'a, T> FieldTerms<'a, T> {
         }
     }
 
-    /// Asks memory for what the shares of a node are read from.
-    #[inline]
-    pub fn prefetch(&self, node: usize) {
+    /// The same at nodes side by side; `each` gets the number of the node among them first. A number that names no node has no shares.
+    #[inline(always)]
+    pub fn each_beside<const N: usize>(&self, nodes: &[u32; N], mut each: impl FnMut(usize, f32, &T)) {
         match self {
-            Self::Whole(terms) => terms.iter().for_each(|(field, _)| prefetch(field, node)),
-            Self::Sparse(shares, _) => shares.prefetch(node),
+            Self::Whole(terms) => {
+                for (field, value) in terms {
+                    for (lane, &node) in nodes.iter().enumerate() {
+                        each(lane, field.get(node as usize).copied().unwrap_or(0.0), value);
+                    }
+                }
+            }
+            Self::Sparse(..) => {
+                for (lane, &node) in nodes.iter().enumerate() {
+                    self.each_at(node as usize, |share, value| each(lane, share, value));
+                }
+            }
+        }
+    }
+
+    /// Asks memory for what the shares of nodes are read from.
+    #[inline(always)]
+    pub fn prefetch<const N: usize>(&self, nodes: &[u32; N]) {
+        match self {
+            Self::Whole(terms) => {
+                for (field, _) in terms {
+                    nodes.iter().for_each(|&node| prefetch(field, node as usize));
+                }
+            }
+            Self::Sparse(shares, _) => nodes.iter().for_each(|&node| shares.prefetch(node as usize)),
         }
     }
 }

@@ -86,14 +86,12 @@ pub enum FitOrder {
 
 /// Which nodes a solution has positions and frames of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum SolutionExtent {
+pub enum SolutionExtent<'a> {
     /// All.
     #[default]
     Graph,
-    /// Positions of the surface at least, and frames where they cost nothing: for frames that are shown.
-    Positions,
-    /// Positions and frames of the surface at least.
-    Surface,
+    /// Positions of the surface at least, and frames of these nodes of it at least: for shapes that are shown.
+    Surface(&'a [u32]),
 }
 
 /// A pose to solve.
@@ -110,7 +108,7 @@ pub struct PoseRequest<'a> {
     /// Where fits begin.
     pub fits: FitOrder,
     /// Which nodes the solution has.
-    pub extent: SolutionExtent,
+    pub extent: SolutionExtent<'a>,
     /// Whether what is free leaves hard handles in their direction, where rotations are fitted.
     pub smooth_borders: bool,
 }
@@ -172,8 +170,8 @@ pub struct SolvedNodes {
     /// first `graph.surface` are the mesh's vertices. Parts in which no handle has moved keep the bits of their rest
     /// positions.
     pub positions: Vec<DVec3>,
-    /// Frames of the same nodes, of the first pass or as refined; empty when nothing moved, and where [`SolutionExtent::Positions`] does
-    /// without them.
+    /// Frames of the same nodes, of the first pass or as refined; empty when nothing moved. With [`SolutionExtent::Surface`] those that
+    /// it does not name may be of other poses, and where it names none there may be none.
     pub frames: Vec<LocalFrame>,
     /// How it was solved.
     pub stats: PoseStats,

@@ -49,7 +49,10 @@ impl SparseShares {
     /// The shares at a node.
     #[inline]
     pub fn at(&self, node: usize) -> &[(u32, f32)] {
-        &self.shares[self.first[node] as usize..self.first[node + 1] as usize]
+        match self.first.get(node..node.saturating_add(2)) {
+            Some(&[first, end]) => &self.shares[first as usize..end as usize],
+            _ => &[],
+        }
     }
 
     /// The share of a hold at a node whose holds rise; 0 where it has none.

@@ -51,6 +51,12 @@ impl NeedlesAndCaps {
         self.crowded.is_empty() && self.caps.is_empty()
     }
 
+    /// The vertices whose frames say where thin faces go, in no order, some more than once.
+    pub fn framed_vertices(&self) -> impl Iterator<Item = u32> {
+        let crowds = (0..self.crowded.len() as u32).flat_map(|row| self.crowds.of(row));
+        crowds.copied().chain(self.caps.iter().map(|cap| cap.apex))
+    }
+
     /// Bytes held on the heap.
     pub fn byte_size(&self) -> usize {
         self.crowded.capacity() * 4

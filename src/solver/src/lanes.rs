@@ -41,7 +41,9 @@ impl Lanes {
     #[inline(always)]
     pub(crate) fn masked_by(self, keep: bool) -> Lanes {
         let mask = u32::from(keep).wrapping_neg();
-        Lanes(self.0.map(|v| f32::from_bits(v.to_bits() & mask)))
+        let [a, b, c, d] = self.0;
+        let masked = |v: f32| f32::from_bits(v.to_bits() & mask);
+        Lanes([masked(a), masked(b), masked(c), masked(d)])
     }
 
     /// Sum of the lanes.
@@ -117,6 +119,30 @@ pub(crate) fn per_lane(mut value: impl FnMut(usize) -> f64) -> WideLanes {
 pub(crate) fn ratio(a: f64, b: f64) -> f64 {
     let q = a / b;
     if b > 0.0 && q.is_finite() { q } else { 0.0 }
+}
+
+/// Work on many numbers that [`eight_wide`] does.
+pub(crate) trait NumberWork {
+    type Output;
+    /// Does it. Has to be `#[inline(always)]`, with all that counts in it.
+    fn run(self) -> Self::Output;
+}
+
+/// Does `work` in instructions for eight numbers at a time where the processor has them; they give the same bits.
+#[inline(always)]
+pub(crate) fn eight_wide<W: NumberWork>(work: W) -> W::Output {
+    #[cfg(all(target_arch = "x86_64", not(miri)))]
+    {
+        #[target_feature(enable = "avx2")]
+        fn with_avx2<W: NumberWork>(work: W) -> W::Output {
+            work.run()
+        }
+        if is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has them.
+            return unsafe { with_avx2(work) };
+        }
+    }
+    work.run()
 }
 
 /// Asks for the line of a cache that holds element `i`, if there is one, long before it is read. What follows an order that

@@ -162,6 +162,6 @@ pub use options::{
 };
 pub use repair::{GraphChange, RepairReport};
 pub use solve::{
-    IterationReport, LinearEquations, MapColumns, PoseEquations, PoseRow, PoseRows, SolveControl, StoppingCriteria,
-    Workspace,
+    IterationReport, LinearEquations, MapColumns, PlaceRows, PoseEquations, PoseRow, PoseRows, SolveControl,
+    StoppingCriteria, Workspace,
 };

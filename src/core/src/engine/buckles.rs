@@ -301,7 +301,7 @@ impl<'a> BuckleWatch<'a> {
 
     /// Several shapes are held at a time: where none is shown by its frames, they go.
     fn without_needless_frames(&self, mut solved: SolvedNodes) -> SolvedNodes {
-        if self.derived.shows_without_frames() {
+        if self.derived.framed_nodes().is_empty() {
             solved.frames = Vec::new();
         }
         solved

@@ -36,6 +36,8 @@ pub(super) struct DerivedStructures {
     pub body: DeformableBody,
     /// Needles and caps of the mesh.
     pub thin: NeedlesAndCaps,
+    /// See [`DerivedStructures::framed_nodes`].
+    framed_nodes: Vec<u32>,
     volume: VolumeMode,
     loose_vertices_ride: bool,
     riders_keep_sides: bool,
@@ -190,6 +192,7 @@ impl DerivedStructures {
         options: &OpenOptions,
     ) -> Self {
         Self {
+            framed_nodes: framed_nodes(&mesh, &thin),
             lineage,
             parts,
             thin,
@@ -209,9 +212,9 @@ impl DerivedStructures {
         }
     }
 
-    /// Whether a shape is made of the nodes' positions alone.
-    pub fn shows_without_frames(&self) -> bool {
-        self.mesh.inexact_vertices.is_empty() && self.thin.is_empty()
+    /// The nodes by whose frames a shape is made, beside the positions of all, rising.
+    pub fn framed_nodes(&self) -> &[u32] {
+        &self.framed_nodes
     }
 
     /// The rest surface, ready to carry points; built on the first call.
@@ -360,6 +363,7 @@ impl DerivedStructures {
         let parts = self.mesh.byte_size()
             + self.parts.of_vertex.capacity() * 4
             + self.thin.byte_size()
+            + 4 * self.framed_nodes.capacity()
             + self.body.byte_size()
             + self.carry.get().map_or(0, |surface| surface.byte_size())
             + self
@@ -394,6 +398,17 @@ impl MeshParts {
         };
         Ok(Self { parts, families })
     }
+}
+
+/// The nodes whose frames render vertices beside their own and thin faces need, rising.
+fn framed_nodes(mesh: &Mesh, thin: &NeedlesAndCaps) -> Vec<u32> {
+    let beside = mesh.inexact_vertices.iter();
+    let beside = beside.map(|&v| mesh.solver_from_render[v as usize]);
+    let mut nodes: Vec<u32> = beside.chain(thin.framed_vertices()).collect();
+    nodes.sort_unstable();
+    nodes.dedup();
+    nodes.shrink_to_fit();
+    nodes
 }
 
 fn parts_of(mesh: &Mesh) -> Components {

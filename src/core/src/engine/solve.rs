@@ -162,10 +162,10 @@ impl Deformer {
         let mut found = None;
         if !free.is_empty() {
             exec.progress.begin_pass("turn");
-            let request = pose_request(&transforms, settings, mode, false);
+            let request = pose_request(&transforms, settings, mode, &[]);
             (transforms, found) = handle_system.find_turns(body, &request, &free, state, exec)?;
         }
-        let request = pose_request(&transforms, settings, mode, derived.shows_without_frames());
+        let request = pose_request(&transforms, settings, mode, derived.framed_nodes());
         let shape = ShapeTransfer {
             body,
             mesh: &derived.mesh,
@@ -249,16 +249,15 @@ impl Deformer {
     }
 }
 
-/// The request of a pose in a mode. Where the surface shows without frames a drag has no use for them.
+/// The request of a pose in a mode. A drag's shape is made of positions and the frames of the nodes `framed`.
 fn pose_request<'a>(
     transforms: &'a [Transform],
     settings: &SolveSettings,
     mode: SolveMode,
-    shows_without_frames: bool,
+    framed: &'a [u32],
 ) -> PoseRequest<'a> {
     let (start, refine, extent) = match mode {
-        SolveMode::Drag if shows_without_frames => (SolveStart::Warm, 0, SolutionExtent::Positions),
-        SolveMode::Drag => (SolveStart::Warm, 0, SolutionExtent::Surface),
+        SolveMode::Drag => (SolveStart::Warm, 0, SolutionExtent::Surface(framed)),
         SolveMode::Anew | SolveMode::Commit => (SolveStart::Fresh, COMMIT_REFINE, SolutionExtent::Graph),
     };
     PoseRequest {

@@ -37,6 +37,8 @@ pub struct PoseBlend<'a> {
     pub(super) rotations: HandleRotations<'a>,
     scales: HandleScales<'a>,
     pub(super) component: &'a [u32],
+    /// Whether a handle has a say at every node.
+    pub(super) covers_all: bool,
     instead: Option<&'a [LocalRotation]>,
 }
 
@@ -48,8 +50,10 @@ impl<'a> PoseBlend<'a> {
         transforms: &[Transform],
         instead: Option<&'a [LocalRotation]>,
     ) -> Self {
+        let rotations = HandleRotations::new(handles, transforms);
         Self {
-            rotations: HandleRotations::new(handles, transforms),
+            covers_all: rotations.covered.iter().all(|&covered| covered),
+            rotations,
             scales: HandleScales::new(handles, transforms),
             component: &body.graph.component,
             instead,
@@ -78,6 +82,11 @@ impl<'a> PoseBlend<'a> {
     /// Whether any handle that constrains rotations has a say at a node.
     pub fn is_covered(&self, node: usize) -> bool {
         self.rotations.covered[self.component[node] as usize]
+    }
+
+    /// The same of a number that may name no node, where it says nothing.
+    pub(super) fn covers(&self, node: u32) -> bool {
+        self.covers_all || (node as usize) < self.component.len() && self.is_covered(node as usize)
     }
 
     /// The rotation of a hold, or of the frozen surroundings, which come last; with the sign that the blend has there.

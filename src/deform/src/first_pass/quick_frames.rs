@@ -12,7 +12,7 @@ use pliant_solver::{MapColumns, prefetch};
 use std::f64::consts::{FRAC_2_PI, FRAC_PI_2};
 
 /// Nodes that go side by side, one in each lane.
-const SIDE_BY_SIDE: usize = 4;
+pub(crate) const SIDE_BY_SIDE: usize = 4;
 /// The identity.
 const STILL: MapColumns = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
 /// Steps towards the mean rotation end where none is longer than the root of this, in radians.
@@ -68,8 +68,6 @@ struct SplitTurn {
 
 /// Frames of nodes side by side, and memory for making them.
 pub(crate) struct NodeFrames {
-    /// The row of the first; none has been asked for where that is beyond all.
-    first: usize,
     frames: [MapColumns; SIDE_BY_SIDE],
     terms: Vec<BlockTerm>,
 }
@@ -85,7 +83,6 @@ struct BlockTerm {
 impl Default for NodeFrames {
     fn default() -> Self {
         Self {
-            first: usize::MAX,
             frames: [STILL; SIDE_BY_SIDE],
             terms: Vec::new(),
         }
@@ -120,30 +117,25 @@ impl<'a> QuickFrames<'a> {
         Self { blend, axes }
     }
 
-    /// The frame of the node in a row; `nodes` are those of all rows. `block` has those of the rows around it, from one call to the next.
-    #[inline]
-    pub fn of_row(&self, row: usize, nodes: &[u32], block: &mut NodeFrames) -> MapColumns {
+    /// The frames of nodes, in memory of `block`; that of a number that names none is of no use.
+    #[inline(always)]
+    pub fn of<'b>(&self, nodes: &[u32; SIDE_BY_SIDE], block: &'b mut NodeFrames) -> &'b [MapColumns; SIDE_BY_SIDE] {
         match &self.axes {
-            Axes::One(frames) => frames.at(&self.blend, nodes[row] as usize),
-            Axes::Several(frames) => {
-                let first = row - row % SIDE_BY_SIDE;
-                if block.first != first {
-                    let end = nodes.len().min(first + SIDE_BY_SIDE);
-                    frames.fill(&self.blend, &nodes[first..end], block);
-                    block.first = first;
-                }
-                block.frames[row - first]
-            }
+            Axes::One(frames) => frames.fill(&self.blend, nodes, block),
+            Axes::Several(frames) => frames.fill(&self.blend, nodes, block),
         }
+        &block.frames
     }
 
-    /// Asks memory for what the frame of a node is made from.
-    #[inline]
-    pub fn prefetch(&self, node: usize) {
-        prefetch(self.blend.component, node);
+    /// Asks memory for what the frames of nodes are made from.
+    #[inline(always)]
+    pub fn prefetch(&self, nodes: &[u32; SIDE_BY_SIDE]) {
+        if !self.blend.covers_all {
+            (nodes.iter()).for_each(|&node| prefetch(self.blend.component, node as usize));
+        }
         match &self.axes {
-            Axes::One(frames) => frames.terms.prefetch(node),
-            Axes::Several(_) => self.blend.rotations.numbers.prefetch(node),
+            Axes::One(frames) => frames.terms.prefetch(nodes),
+            Axes::Several(_) => self.blend.rotations.numbers.prefetch(nodes),
         }
     }
 }
@@ -157,30 +149,32 @@ fn about_axis(base: DQuat, DVec3 { x, y, z }: DVec3) -> [MapColumns; 3] {
 }
 
 impl OneAxisFrames<'_> {
-    #[inline]
-    fn at(&self, blend: &PoseBlend<'_>, node: usize) -> MapColumns {
-        if !blend.is_covered(node) {
-            return STILL;
+    /// As [`SeveralAxesFrames::fill`].
+    #[inline(always)]
+    fn fill(&self, blend: &PoseBlend<'_>, nodes: &[u32; SIDE_BY_SIDE], block: &mut NodeFrames) {
+        let mut angles = [0.0; SIDE_BY_SIDE];
+        (self.terms).each_beside(nodes, |lane, share, whole| {
+            angles[lane] += f64::from(share).max(0.0) * whole
+        });
+        let (sines, cosines) = sin_cos(angles);
+        let [base, by_sine, by_rest] = self
+            .matrices
+            .map(|[a, b, c]| [Vec4::from_array(a), Vec4::from_array(b), Vec4::from_array(c)]);
+        for lane in 0..SIDE_BY_SIDE {
+            let (sine, rest) = (sines[lane] as f32, (1.0 - cosines[lane]) as f32);
+            for k in 0..3 {
+                block.frames[lane][k] = (base[k] + by_sine[k] * sine + by_rest[k] * rest).to_array();
+            }
+            if !blend.covers(nodes[lane]) {
+                block.frames[lane] = STILL;
+            }
         }
-        let mut angle = 0.0;
-        self.terms
-            .each_at(node, |share, whole| angle += f64::from(share).max(0.0) * whole);
-        let [base, by_sine, by_rest] = &self.matrices;
-        if angle == 0.0 {
-            return *base;
-        }
-        let (sine, cosine) = sin_cos(angle);
-        let (sine, rest) = (sine as f32, (1.0 - cosine) as f32);
-        std::array::from_fn(|k| {
-            let column = |c: usize| base[k][c] + by_sine[k][c] * sine + by_rest[k][c] * rest;
-            std::array::from_fn(column)
-        })
     }
 }
 
 impl SeveralAxesFrames {
-    /// Makes the frames of up to [`SIDE_BY_SIDE`] nodes; a number that names none is passed over.
-    fn fill(&self, blend: &PoseBlend<'_>, nodes: &[u32], block: &mut NodeFrames) {
+    /// Makes the frames of nodes; a number that names none is passed over.
+    fn fill(&self, blend: &PoseBlend<'_>, nodes: &[u32; SIDE_BY_SIDE], block: &mut NodeFrames) {
         self.gather(blend, nodes, &mut block.terms);
         let (mut start, mut base_share) = ([Vec4::ZERO; 3], Vec4::splat(1.0));
         let mut twists = [DVec3::ZERO; SIDE_BY_SIDE];
@@ -218,14 +212,13 @@ impl SeveralAxesFrames {
     }
 
     /// Replaces `terms` by the rotations that have a share at any of the nodes.
-    fn gather(&self, blend: &PoseBlend<'_>, nodes: &[u32], terms: &mut Vec<BlockTerm>) {
+    fn gather(&self, blend: &PoseBlend<'_>, nodes: &[u32; SIDE_BY_SIDE], terms: &mut Vec<BlockTerm>) {
         terms.clear();
-        let covered = |node: u32| (node as usize) < blend.component.len() && blend.is_covered(node as usize);
         match &blend.rotations.numbers {
             FieldTerms::Whole(fields) => {
                 for &(field, number) in fields {
                     let mut term = BlockTerm::of(number as u32, &self.turns[number]);
-                    for (lane, &node) in nodes.iter().enumerate().filter(|(_, node)| covered(**node)) {
+                    for (lane, &node) in nodes.iter().enumerate().filter(|(_, node)| blend.covers(**node)) {
                         term.share[lane] = field.get(node as usize).map_or(0.0, |share| share.max(0.0));
                     }
                     if term.share != Vec4::ZERO {
@@ -234,7 +227,7 @@ impl SeveralAxesFrames {
                 }
             }
             FieldTerms::Sparse(..) => {
-                for (lane, &node) in nodes.iter().enumerate().filter(|(_, node)| covered(**node)) {
+                for (lane, &node) in nodes.iter().enumerate().filter(|(_, node)| blend.covers(**node)) {
                     let mut count = 0;
                     blend.rotations.numbers.each_at(node as usize, |share, &number| {
                         let turn = &self.turns[number];
@@ -370,34 +363,44 @@ fn columns(map: &Mat3) -> MapColumns {
     map.to_cols_array_2d().map(|[x, y, z]| [x, y, z, 0.0])
 }
 
-/// Sine and cosine. On an eighth of a turn either side of 0 the Taylor series up to x¹³ and x¹² are off by less than the term
+/// Sines and cosines. On an eighth of a turn either side of 0 the Taylor series up to x¹³ and x¹² are off by less than the term
 /// left out: (π/4)¹⁵ / 15! < 3e-14 and (π/4)¹⁴ / 14! < 4e-13; taking quarter turns off loses 1e-16 of the angle.
-#[inline]
-fn sin_cos(x: f64) -> (f64, f64) {
-    if x.is_nan() || x.abs() > FARTHEST {
-        return libm::sincos(x);
+#[inline(always)]
+fn sin_cos(angles: [f64; SIDE_BY_SIDE]) -> ([f64; SIDE_BY_SIDE], [f64; SIDE_BY_SIDE]) {
+    if angles.iter().any(|x| x.is_nan() || x.abs() > FARTHEST) {
+        return (angles.map(libm::sin), angles.map(libm::cos));
     }
-    let quarters = (x * FRAC_2_PI + ROUNDING) - ROUNDING;
-    let r = (x - quarters * FRAC_PI_2) - quarters * FRAC_PI_2_REST;
-    let s = r * r;
-    let sin = 1.0 / 6_227_020_800.0;
-    let sin = -1.0 / 39_916_800.0 + s * sin;
-    let sin = 1.0 / 362_880.0 + s * sin;
-    let sin = -1.0 / 5_040.0 + s * sin;
-    let sin = 1.0 / 120.0 + s * sin;
-    let sin = r + r * s * (-1.0 / 6.0 + s * sin);
-    let cos = 1.0 / 479_001_600.0;
-    let cos = -1.0 / 3_628_800.0 + s * cos;
-    let cos = 1.0 / 40_320.0 + s * cos;
-    let cos = -1.0 / 720.0 + s * cos;
-    let cos = 1.0 / 24.0 + s * cos;
-    let cos = 1.0 + s * (-0.5 + s * cos);
-    match quarters as i64 & 3 {
-        0 => (sin, cos),
-        1 => (cos, -sin),
-        2 => (-sin, -cos),
-        _ => (-cos, sin),
+    let rounded = angles.map(|x| x * FRAC_2_PI + ROUNDING);
+    let r: [f64; SIDE_BY_SIDE] = std::array::from_fn(|lane| {
+        let quarters = rounded[lane] - ROUNDING;
+        (angles[lane] - quarters * FRAC_PI_2) - quarters * FRAC_PI_2_REST
+    });
+    let s = r.map(|r| r * r);
+    let mut sines: [f64; SIDE_BY_SIDE] = std::array::from_fn(|lane| {
+        let s = s[lane];
+        let sum = -1.0 / 39_916_800.0 + s * (1.0 / 6_227_020_800.0);
+        let sum = -1.0 / 5_040.0 + s * (1.0 / 362_880.0 + s * sum);
+        let sum = -1.0 / 6.0 + s * (1.0 / 120.0 + s * sum);
+        r[lane] + r[lane] * s * sum
+    });
+    let mut cosines = s.map(|s| {
+        let sum = -1.0 / 3_628_800.0 + s * (1.0 / 479_001_600.0);
+        let sum = -1.0 / 720.0 + s * (1.0 / 40_320.0 + s * sum);
+        1.0 + s * (-0.5 + s * (1.0 / 24.0 + s * sum))
+    });
+    for lane in 0..SIDE_BY_SIDE {
+        // The last bits of the rounded number count the quarter turns.
+        let quarter = rounded[lane].to_bits() & 3;
+        let (sine, cosine) = (sines[lane].to_bits(), cosines[lane].to_bits());
+        let (sine, cosine) = if quarter & 1 == 0 {
+            (sine, cosine)
+        } else {
+            (cosine, sine)
+        };
+        sines[lane] = f64::from_bits(sine ^ (quarter & 2) << 62);
+        cosines[lane] = f64::from_bits(cosine ^ ((quarter + 1) & 2) << 62);
     }
+    (sines, cosines)
 }
 
 #[cfg(test)]
@@ -418,12 +421,14 @@ mod tests {
         let mut worst = 0.0f64;
         for k in -400_000..400_000 {
             let x = f64::from(k) * 1.7e-4;
-            let (quick, exact) = (sin_cos(x), libm::sincos(x));
-            worst = worst.max((quick.0 - exact.0).abs()).max((quick.1 - exact.1).abs());
+            let lane = (k & 3) as usize;
+            let (quick, exact) = (sin_cos([x; SIDE_BY_SIDE]), libm::sincos(x));
+            worst = (worst.max((quick.0[lane] - exact.0).abs())).max((quick.1[lane] - exact.1).abs());
         }
         assert!(worst < 1e-12, "{worst}");
         for odd in [0.0, -0.0, 1e-200, 1e5 + 0.3, -9e5, 1e9, f64::INFINITY, f64::NAN] {
-            let (quick, exact) = (sin_cos(odd), libm::sincos(odd));
+            let (sines, cosines) = sin_cos([0.0, odd, 1.0, 2.0]);
+            let (quick, exact) = ((sines[1], cosines[1]), libm::sincos(odd));
             let near = (quick.0 - exact.0).abs() < 1e-10 && (quick.1 - exact.1).abs() < 1e-10;
             assert!(
                 near || exact.0.is_nan() && quick.0.is_nan(),
@@ -500,14 +505,19 @@ mod tests {
                 let transforms: Vec<Transform> = (0..count).map(transform).collect();
                 let blend = || PoseBlend::new(&body, &handles, &transforms, None);
                 let (exact, quick) = (blend(), QuickFrames::new(blend()));
-                let nodes: Vec<u32> = (0..body.nodes() as u32).rev().chain([u32::MAX; 3]).collect();
+                let mut nodes: Vec<u32> = (0..body.nodes() as u32).rev().chain([u32::MAX; 3]).collect();
+                nodes.resize(nodes.len().next_multiple_of(SIDE_BY_SIDE), u32::MAX);
                 let mut block = NodeFrames::default();
                 let mut worst = 0.0f64;
-                for (row, &node) in nodes.iter().enumerate().filter(|(_, node)| **node != u32::MAX) {
+                let (whole, _) = nodes.as_chunks::<SIDE_BY_SIDE>();
+                let blocks = whole.iter().flat_map(|some| {
+                    let frames = *quick.of(some, &mut block);
+                    some.iter().copied().zip(frames)
+                });
+                for (node, found) in blocks.filter(|(node, _)| *node != u32::MAX) {
                     let node = node as usize;
                     let turn = DMat3::from_quat(exact.rotation(node).unwrap_or(DQuat::IDENTITY));
                     let expected = exact.scale(node).map_or(turn, |scale| turn * scale);
-                    let found = quick.of_row(row, &nodes, &mut block);
                     for (found, expected) in found.iter().zip(expected.to_cols_array_2d()) {
                         for (found, expected) in found.iter().zip(expected) {
                             worst = worst.max((f64::from(*found) - expected).abs());

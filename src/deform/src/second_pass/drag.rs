@@ -8,9 +8,8 @@
 use crate::body::DeformableBody;
 use crate::error::Error;
 use crate::field_terms::FieldTerms;
-use crate::first_pass::blend::{LocalFrame, PoseBlend};
-use crate::first_pass::quick_frames::{NodeFrames, QuickFrames};
-use crate::handles::motion::moved_by;
+use crate::first_pass::blend::{IDENTITY_FRAME, LocalFrame, PoseBlend};
+use crate::first_pass::quick_frames::{NodeFrames, QuickFrames, SIDE_BY_SIDE};
 use crate::handles::ownership::UNHELD;
 use crate::handles::system::HandleSystem;
 use crate::pose::{FirstPass, SolutionExtent, SolveStart, SolveUpdate, SolvedNodes};
@@ -18,10 +17,10 @@ use crate::rotation::Transform;
 use crate::second_pass::equations::ScatteredPose;
 use crate::second_pass::state::{DragRows, NO_NODE, SolveState};
 use crate::solve::{PoseSolve, SolveTally};
-use glam::{DAffine3, DVec3, Mat3};
+use glam::{DVec3, Mat3};
 use pliant_exec::Exec;
 use pliant_exec::pool::Pool;
-use pliant_solver::{Lanes, SolveControl, SolveStats, prefetch};
+use pliant_solver::{Lanes, PlaceRows, PoseRow, SolveControl, SolveStats, prefetch};
 use rayon::prelude::*;
 
 /// Tolerances below this one need right-hand sides in double precision.
@@ -92,13 +91,14 @@ impl PoseSolve<'_> {
         let center = state.rows.mean_of_held(body, request.transforms);
         let pass = RowPass {
             frames: QuickFrames::new(PoseBlend::new(body, handles, request.transforms, None)),
-            motions: handles.motions(body, &state.transforms, request.transforms),
+            motions: (handles.motions(body, &state.transforms, request.transforms))
+                .map(|map| [map.x_axis, map.y_axis, map.z_axis, map.translation].map(with_zero)),
             maps: request.transforms.iter().map(Transform::map).collect(),
             centers: [state.rows.center, center],
             handles,
             body,
         };
-        pass.run(&mut state.rows, exec.pool);
+        state.rows.pose.place_rows(exec.pool, &pass);
         state.rows.center = center;
         state.transforms.clear();
         state.transforms.extend_from_slice(request.transforms);
@@ -117,7 +117,7 @@ impl PoseSolve<'_> {
         exec.progress.begin_pass("place");
         let nodes = match request.extent {
             // Loose parts follow nodes inside as well.
-            SolutionExtent::Positions | SolutionExtent::Surface if handles.parts.is_empty() => body.graph.surface,
+            SolutionExtent::Surface(_) if handles.parts.is_empty() => body.graph.surface,
             _ => body.nodes(),
         };
         let placement = handles.placement(body, moved_parts, request.transforms, center);
@@ -139,8 +139,8 @@ impl PoseSolve<'_> {
         }
         handles.parts.place(body, &mut positions);
         match request.extent {
-            SolutionExtent::Positions => frames.clear(),
-            _ => rows.copy_frames(&mut frames, nodes, exec.pool),
+            SolutionExtent::Surface(framed) => rows.copy_some_frames(&mut frames, nodes, framed),
+            SolutionExtent::Graph => rows.copy_frames(&mut frames, exec.pool),
         }
         Ok(SolvedNodes {
             frames,
@@ -202,7 +202,8 @@ pub(super) fn fill_scattered(
 /// The pass before the solve: frames, and places carried along with the handles.
 struct RowPass<'a, M> {
     frames: QuickFrames<'a>,
-    motions: FieldTerms<'a, DAffine3>,
+    /// How handles moved: the columns of a map and what it adds, each with 0 behind it.
+    motions: FieldTerms<'a, [[f64; 4]; 4]>,
     /// By hold: from rest to where the pose has it, model space.
     maps: Vec<M>,
     /// What places are relative to, before and after.
@@ -211,56 +212,108 @@ struct RowPass<'a, M> {
     body: &'a DeformableBody,
 }
 
-impl<M: Fn(DVec3) -> DVec3 + Send + Sync> RowPass<'_, M> {
-    fn run(&self, rows: &mut DragRows, pool: &Pool) {
-        let vertices = self.body.hierarchy.row_vertices();
-        rows.pose.place_rows(pool, NodeFrames::default, |block, row, frame, x| {
-            if let Some(&later) = vertices.get(row + AHEAD).filter(|later| **later != NO_NODE) {
-                self.prefetch(later as usize);
-            }
-            let node = vertices[row];
-            if node == NO_NODE {
-                return;
-            }
-            let node = node as usize;
-            frame.set_map_columns(&self.frames.of_row(row, vertices, block));
-            let place = self.place_of(node, DVec3::new(x[0], x[1], x[2]));
-            (x[0], x[1], x[2]) = place.into();
-        });
-    }
+impl<M: Fn(DVec3) -> DVec3 + Send + Sync> PlaceRows for RowPass<'_, M> {
+    type Scratch = NodeFrames;
 
-    /// Asks memory for what the pass reads of a node: rows follow a curve through space, nodes do not.
-    #[inline]
-    fn prefetch(&self, node: usize) {
-        self.frames.prefetch(node);
-        self.motions.prefetch(node);
-        prefetch(&self.handles.positions.fixed, node);
-    }
-
-    /// Where a node is when the solve begins.
-    fn place_of(&self, node: usize, before: DVec3) -> DVec3 {
-        let [from, to] = self.centers;
-        if self.handles.positions.fixed[node] {
-            let k = self.handles.position.hard[node];
-            return match self.maps.get(k as usize).filter(|_| k != UNHELD) {
-                Some(map) => self.body.solving_from_model(map(self.body.graph.positions[node])) - to,
-                None => self.body.rest(node) - to,
-            };
+    #[inline(always)]
+    fn place(&self, block: &mut NodeFrames, first: usize, rows: &mut [[PoseRow; 4]], x: &mut [[[f64; 4]; 4]]) {
+        let nodes = self.body.hierarchy.row_vertices()[first..]
+            .as_chunks::<SIDE_BY_SIDE>()
+            .0;
+        for (k, (rows, x)) in rows.iter_mut().zip(x).enumerate() {
+            if let Some(later) = nodes.get(k + AHEAD / SIDE_BY_SIDE) {
+                self.prefetch(later);
+            }
+            let frames = self.frames.of(&nodes[k], block);
+            for (row, frame) in rows.iter_mut().zip(frames) {
+                row.set_map_columns(frame);
+            }
+            self.carry(&nodes[k], x);
         }
-        let here = before + from;
-        let mut moved = DVec3::ZERO;
-        (self.motions).each_at(node, |share, map| moved += moved_by(map, share, here));
-        here + moved - to
     }
 }
 
+impl<M: Fn(DVec3) -> DVec3 + Send + Sync> RowPass<'_, M> {
+    /// Asks memory for what the pass reads of nodes: rows follow a curve through space, nodes do not.
+    #[inline(always)]
+    fn prefetch(&self, nodes: &[u32; SIDE_BY_SIDE]) {
+        self.frames.prefetch(nodes);
+        self.motions.prefetch(nodes);
+        for &node in nodes {
+            if self.is_fixed(node) {
+                prefetch(&self.body.graph.positions, node as usize);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn is_fixed(&self, node: u32) -> bool {
+        self.handles
+            .positions
+            .fixed
+            .get(node as usize)
+            .is_some_and(|&fixed| fixed)
+    }
+
+    /// Replaces where nodes were by where they are when the solve begins.
+    #[inline(always)]
+    fn carry(&self, nodes: &[u32; SIDE_BY_SIDE], x: &mut [[f64; 4]; SIDE_BY_SIDE]) {
+        let [from, to] = self.centers.map(with_zero);
+        let mut here = *x;
+        for here in &mut here {
+            *here = lanes(|c| here[c] + from[c]);
+        }
+        let mut moved = [[0.0; 4]; SIDE_BY_SIDE];
+        (self.motions).each_beside(nodes, |lane, share, [a, b, c, shift]| {
+            let (share, here) = (f64::from(share), here[lane]);
+            let there = lanes(|k| a[k] * here[0] + b[k] * here[1] + c[k] * here[2] + shift[k]);
+            moved[lane] = lanes(|k| moved[lane][k] + (there[k] - here[k]) * share);
+        });
+        for lane in (0..SIDE_BY_SIDE).filter(|lane| nodes[*lane] != NO_NODE) {
+            x[lane] = lanes(|c| here[lane][c] + moved[lane][c] - to[c]);
+            if self.is_fixed(nodes[lane]) {
+                x[lane] = with_zero(self.held_place(nodes[lane] as usize) - self.centers[1]);
+            }
+        }
+    }
+
+    /// Where a node is held, solving coordinates.
+    fn held_place(&self, node: usize) -> DVec3 {
+        let k = self.handles.position.hard[node];
+        match self.maps.get(k as usize).filter(|_| k != UNHELD) {
+            Some(map) => self.body.solving_from_model(map(self.body.graph.positions[node])),
+            None => self.body.rest(node),
+        }
+    }
+}
+
+#[inline(always)]
+fn lanes(value: impl FnMut(usize) -> f64) -> [f64; 4] {
+    std::array::from_fn(value)
+}
+
+fn with_zero(place: DVec3) -> [f64; 4] {
+    [place.x, place.y, place.z, 0.0]
+}
+
 impl DragRows {
-    /// Replaces `out` by the frames of the first `nodes` nodes.
-    fn copy_frames(&self, out: &mut Vec<LocalFrame>, nodes: usize, pool: &Pool) {
+    /// Replaces `out` by the frames of all nodes.
+    fn copy_frames(&self, out: &mut Vec<LocalFrame>, pool: &Pool) {
         pool.install(|| {
-            let rows = self.row_of[..nodes].par_iter().with_min_len(PIECE);
+            let rows = self.row_of.par_iter().with_min_len(PIECE);
             let frames = rows.map(|&row| self.pose.rows[row as usize].map());
             frames.collect_into_vec(out);
         });
+    }
+
+    /// Makes room in `out` for the frames of the first `nodes` nodes and puts those of `framed` there; without any, none.
+    fn copy_some_frames(&self, out: &mut Vec<LocalFrame>, nodes: usize, framed: &[u32]) {
+        match framed {
+            [] => out.clear(),
+            _ => out.resize(nodes, IDENTITY_FRAME),
+        }
+        for &node in framed {
+            out[node as usize] = self.pose.rows[self.row_of[node as usize] as usize].map();
+        }
     }
 }

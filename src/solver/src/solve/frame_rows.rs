@@ -9,7 +9,7 @@
 //! off by 3e-8 there, and so is a residual, whatever the solution is: it shows in a shape as some 1e-6 of its size at most.
 
 use crate::build::level::HierarchyLevel;
-use crate::lanes::{Lanes, SLICE_ROWS, WideLanes, per_lane, prefetch};
+use crate::lanes::{Lanes, NumberWork, SLICE_ROWS, WideLanes, eight_wide, per_lane, prefetch};
 use crate::solve::patches::PatchMap;
 use bytemuck::Zeroable;
 
@@ -54,7 +54,7 @@ impl PoseRow {
     /// The columns of M.
     #[inline(always)]
     pub(super) fn map_columns(&self) -> MapColumns {
-        [0, 4, 8].map(|k| four(&self.0, k).0)
+        [four(&self.0, 0).0, four(&self.0, 4).0, four(&self.0, 8).0]
     }
 
     /// The columns of M, each with 0 in its fourth lane.
@@ -82,7 +82,8 @@ impl PoseRow {
     /// Replaces the present position and c.
     #[inline(always)]
     pub(super) fn show(&mut self, rest: Lanes, x: &WideLanes) {
-        let [a, b, c] = self.map_columns().map(|column| Lanes(column).to_wide());
+        let [a, b, c] = self.map_columns();
+        let (a, b, c) = (Lanes(a).to_wide(), Lanes(b).to_wide(), Lanes(c).to_wide());
         let p = rest.to_wide();
         let offset = per_lane(|k| x[k] - 0.5 * (a[k] * p[0] + b[k] * p[1] + c[k] * p[2]));
         for (at, offset) in OFFSET.into_iter().zip(Lanes::from_wide(offset).0) {
@@ -90,6 +91,11 @@ impl PoseRow {
         }
         let [x, y, z, _] = *x;
         self.0[POSITION..].copy_from_slice(&Lanes::from_wide([x, y, z, 0.0]).0);
+    }
+
+    #[inline(always)]
+    fn halves(&self) -> &[[f32; NUMBERS / 2]] {
+        self.0.as_chunks().0
     }
 
     /// The present position; the fourth lane is 0.
@@ -139,6 +145,47 @@ pub(super) struct PosedEquation {
     pub(super) rhs: Lanes,
 }
 
+/// See [`FrameRows::bundle_sums`].
+struct BundleSums<'a, const WEIGHTED: bool> {
+    rows: &'a [PoseRow],
+    level: &'a HierarchyLevel,
+    bundle: usize,
+}
+
+impl<const WEIGHTED: bool> NumberWork for BundleSums<'_, WEIGHTED> {
+    type Output = [[f32; NUMBERS]; SLICE_ROWS];
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let Self { rows, level, bundle } = self;
+        let (begin, _, end) = level.slice_extent(bundle);
+        let filling = level.filling();
+        let neighbours = level.neighbours[begin..end].as_chunks::<SLICE_ROWS>().0;
+        let weights = level.weights.as_deref().map_or(&[][..], |w| &w[begin..end]);
+        let weights = &weights.as_chunks::<SLICE_ROWS>().0[..if WEIGHTED { neighbours.len() } else { 0 }];
+        let mut all = [[0.0; NUMBERS]; SLICE_ROWS];
+        for (d, sums) in all.iter_mut().enumerate() {
+            let i = bundle * SLICE_ROWS + d;
+            let here = rows[i].halves();
+            let (mut low, mut high) = ([0.0; NUMBERS / 2], [0.0; NUMBERS / 2]);
+            for (n, j) in neighbours.iter().enumerate() {
+                // Filling that has no weight of 0 is the row itself, which has no difference to it.
+                let j = if !WEIGHTED && j[d] == filling { i } else { j[d] as usize };
+                let there = rows[j].halves();
+                let w = if WEIGHTED { weights[n][d] } else { 1.0 };
+                for c in 0..NUMBERS / 2 {
+                    let difference = [there[0][c] - here[0][c], there[1][c] - here[1][c]];
+                    low[c] += if WEIGHTED { difference[0] * w } else { difference[0] };
+                    high[c] += if WEIGHTED { difference[1] * w } else { difference[1] };
+                }
+            }
+            sums[..NUMBERS / 2].copy_from_slice(&low);
+            sums[NUMBERS / 2..].copy_from_slice(&high);
+        }
+        all
+    }
+}
+
 impl FrameRows<'_> {
     /// What comes on top of equation (8)'s right-hand side in a row, in inner units.
     pub(super) fn more_of(&self, row: usize) -> WideLanes {
@@ -172,28 +219,12 @@ impl FrameRows<'_> {
     /// Not inlined: where the compiler sees what the sums are for it forms them number by number too.
     #[inline(never)]
     fn bundle_sums<const WEIGHTED: bool>(&self, level: &HierarchyLevel, k: usize) -> [[f32; NUMBERS]; SLICE_ROWS] {
-        let (begin, _, end) = level.slice_extent(k);
-        let filling = level.filling();
         // Those of this bundle have been asked for already.
         level.later_neighbours(k).for_each(|j| prefetch(self.rows, j));
-        let neighbours = level.neighbours[begin..end].as_chunks::<SLICE_ROWS>().0;
-        let weights = level.weights.as_deref().map_or(&[][..], |w| &w[begin..end]);
-        let weights = weights.as_chunks::<SLICE_ROWS>().0;
-        std::array::from_fn(|d| {
-            let i = k * SLICE_ROWS + d;
-            let here = self.rows[i].0;
-            let mut sums = [0.0; NUMBERS];
-            for (n, j) in neighbours.iter().enumerate() {
-                // Filling has weight 0: to itself, a row has no difference.
-                let j = if j[d] == filling { i } else { j[d] as usize };
-                let there = &self.rows[j].0;
-                let w = if WEIGHTED { weights[n][d] } else { 1.0 };
-                for c in 0..NUMBERS {
-                    let difference = there[c] - here[c];
-                    sums[c] += if WEIGHTED { difference * w } else { difference };
-                }
-            }
-            sums
+        eight_wide(BundleSums::<WEIGHTED> {
+            rows: self.rows,
+            level,
+            bundle: k,
         })
     }
 
@@ -205,18 +236,27 @@ impl FrameRows<'_> {
         k: usize,
     ) -> [PosedEquation; SLICE_ROWS] {
         let sums = self.bundle_sums::<WEIGHTED>(level, k);
-        std::array::from_fn(|d| {
-            let i = k * SLICE_ROWS + d;
-            let sums = &sums[d];
-            let turned = self.rows[i].turned(self.laplacians[i]) + turned(sums, self.rest[i]);
-            let [x, y, z] = OFFSET.map(|k| sums[k]);
-            let mut residual = turned * 0.5 + Lanes([x, y, z, 0.0]);
-            residual.0[3] = 0.0;
-            let residual = self.with_more(i, residual);
-            PosedEquation {
-                residual,
-                rhs: residual - four(sums, POSITION),
-            }
-        })
+        let first = k * SLICE_ROWS;
+        // One after the other: `array::from_fn` calls its closure instead of taking it in.
+        [
+            self.equation(first, &sums[0]),
+            self.equation(first + 1, &sums[1]),
+            self.equation(first + 2, &sums[2]),
+            self.equation(first + 3, &sums[3]),
+        ]
+    }
+
+    /// The equation of row `i` from its sums.
+    #[inline(always)]
+    fn equation(&self, i: usize, sums: &[f32; NUMBERS]) -> PosedEquation {
+        let turned = self.rows[i].turned(self.laplacians[i]) + turned(sums, self.rest[i]);
+        let [x, y, z] = OFFSET;
+        let mut residual = turned * 0.5 + Lanes([sums[x], sums[y], sums[z], 0.0]);
+        residual.0[3] = 0.0;
+        let residual = self.with_more(i, residual);
+        PosedEquation {
+            residual,
+            rhs: residual - four(sums, POSITION),
+        }
     }
 }

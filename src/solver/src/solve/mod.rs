@@ -19,5 +19,5 @@ mod sweep;
 
 pub use self::frame_rows::{MapColumns, PoseRow};
 pub use self::group::{IterationReport, SolveControl, StoppingCriteria, Workspace};
-pub use self::pose::{PoseEquations, PoseRows};
+pub use self::pose::{PlaceRows, PoseEquations, PoseRows};
 pub use self::problem::LinearEquations;

@@ -7,7 +7,7 @@ use crate::build::hierarchy::Hierarchy;
 use crate::build::level::HierarchyLevel;
 use crate::constrain::system::LinearSystem;
 use crate::error::Error;
-use crate::lanes::{Lanes, NO_ROW, SLICE_ROWS, WIDTH, resize_untouched};
+use crate::lanes::{Lanes, NO_ROW, NumberWork, SLICE_ROWS, WIDTH, eight_wide, resize_untouched};
 use crate::options::SolveStats;
 use crate::solve::cycle::MultigridCycle;
 use crate::solve::frame_rows::{FrameRows, PoseRow};
@@ -123,28 +123,23 @@ impl PoseRows {
         });
     }
 
-    /// Replaces maps and positions of rows, in pieces of rows that lie side by side, and shows all positions to neighbours. `place` gets
-    /// memory that `scratch` makes for a thread, the number of a row, the row for its map, and its position.
-    pub fn place_rows<S>(
-        &mut self,
-        pool: &Pool,
-        scratch: impl Fn() -> S + Sync + Send,
-        place: impl Fn(&mut S, usize, &mut PoseRow, &mut [f64; 4]) + Sync + Send,
-    ) {
+    /// Replaces maps and positions of rows by what `place` makes of them, and shows all positions to neighbours.
+    pub fn place_rows<P: PlaceRows>(&mut self, pool: &Pool, place: &P) {
         self.unsettled = None;
         let threads = Parallelism::from_pool(pool).for_rows(self.rows.len());
         let Self { rows, rest, x, .. } = self;
         threads.run_on(pool, || {
             let n = rows.len().min(rest.len()).min(x.len());
             let vectors = (&mut rows[..n], &mut x[..n]);
-            threads.map_pieces(PIECE, vectors, scratch, |scratch, first, (rows, x)| {
-                for ((row, x), i) in rows.iter_mut().zip(x.iter_mut()).zip(first..) {
-                    place(scratch, i, row, x);
-                }
-                // In a turn of its own: what has just been written in pieces is slow to read as a whole.
-                for ((row, x), rest) in rows.iter_mut().zip(x).zip(&rest[first..]) {
-                    row.show(*rest, x);
-                }
+            threads.map_pieces(PIECE, vectors, P::Scratch::default, |scratch, first, (rows, x)| {
+                eight_wide(RowPiece {
+                    place,
+                    scratch,
+                    first,
+                    rows,
+                    x,
+                    rest: &rest[first..],
+                });
             });
         });
     }
@@ -166,7 +161,7 @@ impl PoseRows {
 
     /// Shows all positions to neighbours.
     pub fn show_positions(&mut self, pool: &Pool) {
-        self.place_rows(pool, || (), |(), _, _, _| ());
+        self.place_rows(pool, &RowsAsTheyAre);
     }
 
     /// Bytes held on the heap.
@@ -174,6 +169,50 @@ impl PoseRows {
         let rows =
             64 * self.rows.capacity() + 16 * (self.rest.capacity() + self.laplacians.capacity()) + self.open.capacity();
         rows + 32 * self.x.capacity() + 16 * self.more.capacity() + self.recalled.byte_size()
+    }
+}
+
+/// What gives the rows of a pose their maps and positions.
+pub trait PlaceRows: Sync {
+    /// Memory of a thread.
+    type Scratch: Default;
+
+    /// Sets the maps of rows that lie side by side, from row `first` on, and replaces their positions; both four by four. Has to be
+    /// `#[inline(always)]`.
+    fn place(&self, scratch: &mut Self::Scratch, first: usize, rows: &mut [[PoseRow; 4]], x: &mut [[[f64; 4]; 4]]);
+}
+
+/// Leaves rows alone.
+struct RowsAsTheyAre;
+
+impl PlaceRows for RowsAsTheyAre {
+    type Scratch = ();
+
+    #[inline(always)]
+    fn place(&self, (): &mut (), _: usize, _: &mut [[PoseRow; 4]], _: &mut [[[f64; 4]; 4]]) {}
+}
+
+/// Rows that lie side by side, to be placed and shown to their neighbours.
+struct RowPiece<'a, P: PlaceRows> {
+    place: &'a P,
+    scratch: &'a mut P::Scratch,
+    first: usize,
+    rows: &'a mut [PoseRow],
+    x: &'a mut [[f64; 4]],
+    rest: &'a [Lanes],
+}
+
+impl<P: PlaceRows> NumberWork for RowPiece<'_, P> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { rows, x, .. } = self;
+        (self.place).place(self.scratch, self.first, rows.as_chunks_mut().0, x.as_chunks_mut().0);
+        // In a turn of its own: what has just been written in pieces is slow to read as a whole.
+        for ((row, x), rest) in rows.iter_mut().zip(x).zip(self.rest) {
+            row.show(*rest, x);
+        }
     }
 }
 

@@ -394,7 +394,7 @@ impl<'a> MaskedLevel<'a> {
         let (begin, _, end) = level.slice_extent(k);
         let neighbours = level.neighbours[begin..end].as_chunks::<SLICE_ROWS>().0;
         let here: &[Lanes] = &x[k * SLICE_ROWS..(k + 1) * SLICE_ROWS];
-        let here: [Lanes; SLICE_ROWS] = std::array::from_fn(|d| here[d]);
+        let here = [here[0], here[1], here[2], here[3]];
         // SAFETY: neighbours are rows of the level, and no thread writes x now.
         let there = |j: usize| unsafe { ReadOnlyRows(x).at(j) };
         let mut sums = [Lanes::ZERO; SLICE_ROWS];
@@ -421,10 +421,11 @@ impl<'a> MaskedLevel<'a> {
                 }
             }
         }
-        std::array::from_fn(|d| {
+        for (d, sum) in sums.iter_mut().enumerate() {
             let i = k * SLICE_ROWS + d;
-            (sums[d] + here[d] * self.mask.alpha(i)).masked_by(self.mask.free(i))
-        })
+            *sum = (*sum + here[d] * self.mask.alpha(i)).masked_by(self.mask.free(i));
+        }
+        sums
     }
 
     /// A x of the rows of bundle `k`, from x and the `t` that [`MaskedLevel::backward`] left.
@@ -440,7 +441,11 @@ impl<'a> MaskedLevel<'a> {
                 Some(w) => StoredWeights(w).gather(neighbours, ReadOnlyRows(x), begin, middle),
             }
         };
-        std::array::from_fn(|d| (t[d] - before[d]).masked_by(self.mask.free(k * SLICE_ROWS + d)))
+        let mut products = [Lanes::ZERO; SLICE_ROWS];
+        for (d, product) in products.iter_mut().enumerate() {
+            *product = (t[d] - before[d]).masked_by(self.mask.free(k * SLICE_ROWS + d));
+        }
+        products
     }
 
     /// Sums `r` over the members of each row of the next level.
