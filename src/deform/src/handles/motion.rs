@@ -156,6 +156,7 @@ pub(crate) struct NodePlacement<'a, M> {
 
 impl<M: Fn(DVec3) -> DVec3 + Sync> NodePlacement<'_, M> {
     /// The position of a node that was solved to `x`.
+    #[inline]
     pub fn of(&self, node: usize, x: &[f64]) -> DVec3 {
         let Self { handles, body, .. } = *self;
         let rest = body.graph.positions[node];

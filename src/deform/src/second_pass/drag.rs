@@ -122,17 +122,18 @@ impl PoseSolve<'_> {
         };
         let placement = handles.placement(body, moved_parts, request.transforms, center);
         let rows = &state.rows;
-        let at = |node: usize| rows.pose.x[rows.row_of[node] as usize];
         let (mut positions, mut frames) = std::mem::take(&mut state.spare);
+        positions.resize(nodes, DVec3::ZERO);
         exec.pool.install(|| {
-            let all = (0..nodes).into_par_iter().with_min_len(PIECE);
-            let placed = all.map(|node| {
-                if let Some(&later) = rows.row_of.get(node + AHEAD) {
-                    prefetch(&rows.pose.x, later as usize);
+            let pieces = positions.par_chunks_mut(PIECE).enumerate();
+            pieces.for_each(|(k, piece)| {
+                for (node, place) in (k * PIECE..).zip(piece) {
+                    if let Some(&later) = rows.row_of.get(node + AHEAD) {
+                        prefetch(&rows.pose.x, later as usize);
+                    }
+                    *place = placement.of(node, &rows.pose.x[rows.row_of[node] as usize][..3]);
                 }
-                placement.of(node, &at(node)[..3])
             });
-            placed.collect_into_vec(&mut positions);
         });
         if let Some(node) = positions.iter().position(|p| !p.is_finite()) {
             return Err(Error::Solver(format!("node {node} left the range of numbers")));
