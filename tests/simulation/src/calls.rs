@@ -10,11 +10,20 @@ use std::fmt;
 /// A call.
 #[derive(Debug, Clone)]
 pub enum Call {
-    Create { points: u64 },
-    Handles { count: u64 },
-    Solve { x: u64 },
+    Create {
+        points: u64,
+    },
+    Handles {
+        count: u64,
+    },
+    Solve {
+        x: u64,
+    },
     /// Poses on a stream, the last of them a commit.
-    Drag { poses: u64, x: u64 },
+    Drag {
+        poses: u64,
+        x: u64,
+    },
     Undo,
     Redo,
     Look,

@@ -65,7 +65,7 @@ impl Client {
         while self.faults.are_active() {
             tokio::time::sleep(Duration::from_secs(1)).await;
         }
-        tokio::time::sleep(Duration::from_secs(20)).await;
+        tokio::time::sleep(Duration::from_secs(15)).await;
         self.session.past.clear();
         self.make(CALLS, Call::Look).await;
         if self.random.happens(200) {
@@ -184,7 +184,10 @@ impl Client {
         if !session.fits(&seen) {
             let is_past = before.past.contains(&seen) || before.fits(&seen);
             if !is_past || !matches!(call, Call::Look) {
-                let text = format!("{key}: history {seen:?}, expected {:?} at {}", session.commits, session.at);
+                let text = format!(
+                    "{key}: history {seen:?}, expected {:?} at {}",
+                    session.commits, session.at
+                );
                 self.report.violation(text);
             }
             return;
@@ -211,9 +214,8 @@ fn commits_of(history: &pb::HistoryResponse) -> Vec<KnownCommit> {
 impl KnownSession {
     /// Whether a history is this one; digests that no answer named yet may be any.
     fn fits(&self, (commits, current): &(Vec<KnownCommit>, u64)) -> bool {
-        let same = |known: &KnownCommit, seen: &KnownCommit| {
-            known.0 == seen.0 && (known.1.is_empty() || known.1 == seen.1)
-        };
+        let same =
+            |known: &KnownCommit, seen: &KnownCommit| known.0 == seen.0 && (known.1.is_empty() || known.1 == seen.1);
         let pairs = self.commits.iter().zip(commits);
         self.commits.len() == commits.len()
             && pairs.into_iter().all(|(known, seen)| same(known, seen))

@@ -73,7 +73,11 @@ impl Connection {
 }
 
 fn of_tenant<'a>(database: &'a Database, tenant: &Tenant, id: &str) -> Option<&'a SessionRow> {
-    database.tables.sessions.get(id).filter(|row| row.record.tenant == *tenant)
+    database
+        .tables
+        .sessions
+        .get(id)
+        .filter(|row| row.record.tenant == *tenant)
 }
 
 fn listed(row: &SessionRow) -> Option<ListedSession> {

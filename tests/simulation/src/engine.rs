@@ -1,4 +1,4 @@
-//! An engine whose shapes follow from handles and poses alone, in microseconds, and that refuses at times for want of memory.
+//! An engine whose shapes follow from handles and poses alone, in microseconds, and that refuses at times with an error about memory.
 //!
 //! A model is the text `points N`. Vertex `v` belongs to handle `v % handles` and goes where that handle's translation takes it.
 

@@ -19,8 +19,10 @@ use tokio::sync::Notify;
 const LEASE: Duration = Duration::from_secs(2);
 /// How often it sends one.
 const HEARTBEAT: Duration = Duration::from_millis(500);
-/// How long a node that leaves waits for its calls, and then for its memory.
+/// How long a node that leaves waits for its calls.
 const LEAVING: Duration = Duration::from_secs(5);
+/// How long it waits for its memory: calls that wait for the database wait ten seconds for it, or twice that behind another one.
+const EMPTY: Duration = Duration::from_secs(40);
 /// Before a node that did not reach the database tries again.
 const BETWEEN_STARTS: Duration = Duration::from_millis(300);
 
@@ -137,10 +139,12 @@ impl NodeParts {
                 tokio::time::sleep(Duration::from_millis(50)).await;
             }
         };
-        if tokio::time::timeout(LEAVING, empty).await.is_err() {
+        if tokio::time::timeout(EMPTY, empty).await.is_err() {
             let (sessions, held) = (manager.metrics().sessions.get(), held());
-            self.report
-                .violation(format!("{} left with {sessions} sessions and {held:?} bytes", self.name));
+            self.report.violation(format!(
+                "{} left with {sessions} sessions and {held:?} bytes",
+                self.name
+            ));
         }
     }
 }

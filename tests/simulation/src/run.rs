@@ -18,9 +18,9 @@ use turmoil::{Builder, Sim};
 const NODES: usize = 3;
 const CLIENTS: usize = 4;
 /// The step of simulated time.
-const TICK: Duration = Duration::from_millis(5);
+const TICK: Duration = Duration::from_millis(10);
 /// Nothing goes wrong after this time.
-const FAULTS_END: Duration = Duration::from_secs(60);
+const FAULTS_END: Duration = Duration::from_secs(40);
 /// A run that is not over by then makes no progress.
 const LONGEST: Duration = Duration::from_secs(400);
 /// Of a thousand steps so many begin a fault of a host or a way.
@@ -96,7 +96,11 @@ impl World {
     fn new(random: Random, bug: Option<OldBug>) -> Self {
         let (faults, report) = (Faults::of(random.split()), Report::default());
         let database = Arc::new(Mutex::new(Database::with(bug)));
-        let (calls, way, objects) = (Arc::new(Post::default()), Arc::new(Post::default()), Arc::new(InMemory::new()));
+        let (calls, way, objects) = (
+            Arc::new(Post::default()),
+            Arc::new(Post::default()),
+            Arc::new(InMemory::new()),
+        );
         let part = |k: usize| NodeParts {
             name: format!("node-{k}"),
             calls: Arc::clone(&calls),
@@ -120,8 +124,14 @@ impl World {
     }
 
     fn build(&self, sim: &mut Sim<'_>) {
-        let (way, database, faults) = (Arc::clone(&self.nodes[0].database), Arc::clone(&self.database), self.faults.split());
-        sim.host(DATABASE, move || Arc::clone(&way).serve(Arc::clone(&database), faults.clone()));
+        let (way, database, faults) = (
+            Arc::clone(&self.nodes[0].database),
+            Arc::clone(&self.database),
+            self.faults.split(),
+        );
+        sim.host(DATABASE, move || {
+            Arc::clone(&way).serve(Arc::clone(&database), faults.clone())
+        });
         for node in self.nodes.clone() {
             sim.host(node.name.clone(), move || node.clone().run());
         }
@@ -150,7 +160,14 @@ impl World {
     fn go(&mut self, sim: &mut Sim<'_>) -> Result<(), String> {
         loop {
             let is_over = sim.step().map_err(|e| format!("a host failed: {e}"))?;
-            let is_wrong = || !self.database.lock().unwrap_or_else(PoisonError::into_inner).violations.is_empty();
+            let is_wrong = || {
+                !self
+                    .database
+                    .lock()
+                    .unwrap_or_else(PoisonError::into_inner)
+                    .violations
+                    .is_empty()
+            };
             if is_over || self.report.is_violated() || is_wrong() {
                 return Ok(());
             }
@@ -211,11 +228,13 @@ impl World {
             4 => {
                 sim.partition(name.clone(), DATABASE);
                 self.report.line(format_args!("{name} loses the database"));
-                self.lasting.push((until, LastingFault::Partition(name, DATABASE.into())));
+                self.lasting
+                    .push((until, LastingFault::Partition(name, DATABASE.into())));
             }
             _ => {
                 sim.hold(name.clone(), DATABASE);
-                self.report.line(format_args!("{name} and the database do not hear each other in time"));
+                self.report
+                    .line(format_args!("{name} and the database do not hear each other in time"));
                 self.lasting.push((until, LastingFault::Hold(name, DATABASE.into())));
             }
         }

@@ -424,7 +424,12 @@ impl Tables {
     fn remove(&mut self, session: &str) -> Vec<String> {
         self.sessions.remove(session);
         self.keys.retain(|_, key| key.session != session);
-        let used: Vec<_> = self.uses.keys().filter(|(whose, _)| whose == session).cloned().collect();
+        let used: Vec<_> = self
+            .uses
+            .keys()
+            .filter(|(whose, _)| whose == session)
+            .cloned()
+            .collect();
         self.uses.retain(|(whose, _), _| whose != session);
         used.into_iter().map(|(_, object)| object).collect()
     }

@@ -20,7 +20,10 @@ fn nothing_acknowledged_is_lost_or_doubled_whatever_goes_wrong() {
         faults += outcome.faults;
     }
     println!("{operations} calls, {faults} faults");
-    assert!(operations > SEEDS * 50 && faults > SEEDS * 20, "{operations} calls, {faults} faults");
+    assert!(
+        operations > SEEDS * 50 && faults > SEEDS * 20,
+        "{operations} calls, {faults} faults"
+    );
 }
 
 #[test]

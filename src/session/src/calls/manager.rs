@@ -82,7 +82,8 @@ impl Manager {
         store: Arc<Store>,
     ) -> Result<Self, Error> {
         let first = store.highest_number().await?.saturating_add(1);
-        let kept_keys = match store.is_writable() {
+        // Where several nodes share the store, each key is read from it when it is used: another node may take back a commit with its key.
+        let kept_keys = match store.is_writable() && store.ownership().is_none() {
             true => store.keys().await?,
             false => Vec::new(),
         };
@@ -183,7 +184,11 @@ impl Manager {
         options: SessionOptions,
         key: Option<CallKey>,
     ) -> Result<KeyedAnswer<pb::Session>, Error> {
-        let is_shared = self.shared.store.as_ref().is_some_and(|store| store.ownership().is_some());
+        let is_shared = self
+            .shared
+            .store
+            .as_ref()
+            .is_some_and(|store| store.ownership().is_some());
         // Another node that refused the creation may have taken the session and its key back since the key was read.
         let tries = if is_shared && key.is_some() { 2 } else { 1 };
         for left in (0..tries).rev() {

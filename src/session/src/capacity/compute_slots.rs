@@ -174,9 +174,14 @@ impl ComputeSlots {
         let for_drags = slots.div_ceil(SLOTS_A_DRAG);
         let most = slots + for_drags;
         // With a share of two threads for every slot none would ever run.
-        let alone = if interactive.threads() / most < 2 && !inline { most } else { 0 };
+        let alone = if interactive.threads() / most < 2 && !inline {
+            most
+        } else {
+            0
+        };
         let alone = SingleThreads::start(alone, || {}).map_err(unstarted)?;
-        let for_another = SingleThreads::start(if inline { 0 } else { SLOTS_FOR_ANOTHER_TENANT }, give_way).map_err(unstarted)?;
+        let for_another =
+            SingleThreads::start(if inline { 0 } else { SLOTS_FOR_ANOTHER_TENANT }, give_way).map_err(unstarted)?;
         Ok(Self {
             interactive: ComputeLane::interactive(slots, for_drags, config, interactive, alone),
             builds: ComputeLane::builds(slots, config, builds, for_another),

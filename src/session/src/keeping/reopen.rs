@@ -13,9 +13,7 @@ use crate::keeping::replay::{Replay, ReplayError, ReplayedLog};
 use crate::keeping::sweep::evict_idle;
 use crate::registry::OpenSession;
 use crate::shared::SharedResources;
-use crate::store::{
-    Generation, HeldSession, SessionClaim, Store, StoreError, StoredSession, millis, read_shape,
-};
+use crate::store::{Generation, HeldSession, SessionClaim, Store, StoreError, StoredSession, millis, read_shape};
 use pliant_asset::FileSet;
 use pliant_core::engine;
 use pliant_exec::Exec;

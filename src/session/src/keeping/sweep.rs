@@ -117,7 +117,12 @@ pub(crate) async fn note_uses(
     noted: &mut BTreeMap<String, u64>,
 ) -> Result<(), StoreError> {
     let sessions = shared.registry.all().into_iter();
-    let uses = sessions.map(|session| (session.held.clone(), shared.surroundings.ms_ago(session.lease.last_use().elapsed())));
+    let uses = sessions.map(|session| {
+        (
+            session.held.clone(),
+            shared.surroundings.ms_ago(session.lease.last_use().elapsed()),
+        )
+    });
     let held: Vec<(HeldSession, u64)> = uses.collect();
     let uses: BTreeMap<String, u64> = held.iter().map(|(held, at)| (held.id.clone(), *at)).collect();
     let changed = |(held, at): &(HeldSession, u64)| noted.get(&held.id).is_none_or(|before| *at > before + 500);

@@ -40,21 +40,19 @@ mod transaction;
 mod write_order;
 mod writer;
 
+pub use database::{NodeTables, RemoveObject, SessionOwner, SessionTables, TransactionWriter, WriteFailure, Written};
 pub use database_store::{Store, StoreFaults};
 pub use location::StoreLocation;
 pub(crate) use objects::{read_shape, write_shape};
 pub use read_only_store::{AuditFilter, CheckedSession, read_audit};
-pub use database::{
-    NodeTables, RemoveObject, SessionOwner, SessionTables, TransactionWriter, WriteFailure, Written,
-};
 pub use session_store::{
     Commit, Generation, HeldSession, ListedSession, LoggedKey, NewCommit, NewSession, NodeIdentity, NodeLoad,
     SessionRecord, StoreError, StoredFacts, StoredSession, StoredSnapshot, UsedSession, calendar_text, now_ms,
 };
 pub(crate) use session_store::{SessionClaim, millis};
+pub(crate) use shared_store::SharedStore;
 pub use simulated_store::SimulatedDatabase;
 pub use write_order::{StoredObject, UncertainCommit, UncertainCommits, WriteOrder};
-pub(crate) use shared_store::SharedStore;
 
 /// Names the build and processor that make a result: the sources of what computes and the compiler as a digest, and the
 /// processor. Within one, the same inputs give the same bits; another may differ in late digits.

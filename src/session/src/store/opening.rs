@@ -2,8 +2,8 @@
 
 use super::build_identity;
 use super::connection::{DatabaseAddress, SharingNode, WritingConnection, release_exclusive, take_exclusive};
-use super::database_store::{Store, StoreWriting};
 use super::database::SessionTables;
+use super::database_store::{Store, StoreWriting};
 use super::location::{
     DATABASE_FILE, FolderHold, StoreLocation, existing_database, make_private_file, refuse_objects_alone,
 };

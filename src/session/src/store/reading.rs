@@ -1,4 +1,4 @@
-//! What a store reads: what was refused and may be written is removed first, and errors say what they mean to whoever asked.
+//! What a store reads. What was refused and may be written is removed first.
 
 use super::database_store::Store;
 use super::session_store::{Commit, ListedSession, LoggedKey, StoreError, StoredFacts, StoredSession};

@@ -126,7 +126,10 @@ impl NodeTables for SqlNodes {
             return Ok(None);
         }
         let update = "UPDATE sessions SET owner = $2, generation = generation + 1 WHERE id = $1 AND generation = $3 RETURNING generation";
-        let update = sqlx::query(update).bind(session).bind(id).bind(signed(seen.generation.0));
+        let update = sqlx::query(update)
+            .bind(session)
+            .bind(id)
+            .bind(signed(seen.generation.0));
         let row = update.fetch_optional(&mut *transaction).await.map_err(unreadable)?;
         let generation = row.map(|row| unsigned(column(&row, 0)?)).transpose()?;
         transaction.commit().await.map_err(unreadable)?;
@@ -235,4 +238,3 @@ async fn remove_one(pool: &AnyPool, remove: &RemoveObject<'_>, object: String) -
     delete.execute(&mut *transaction).await.map_err(unreadable)?;
     transaction.commit().await.map_err(unreadable)
 }
-

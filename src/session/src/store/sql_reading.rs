@@ -189,11 +189,7 @@ impl SessionTables for SqlTables {
         }))
     }
 
-    async fn commit(
-        &self,
-        session: &str,
-        sequence: u64,
-    ) -> Result<Option<(Commit, Vec<u8>)>, StoreError> {
+    async fn commit(&self, session: &str, sequence: u64) -> Result<Option<(Commit, Vec<u8>)>, StoreError> {
         let query = format!("SELECT {COMMIT_COLUMNS} FROM commits WHERE session = $1 AND sequence = $2");
         let query = sqlx::query(AssertSqlSafe(query)).bind(session).bind(signed(sequence));
         self.row(query).await?.as_ref().map(read_commit).transpose()
