@@ -14,7 +14,7 @@ use object_store::{
 use std::fmt;
 use std::sync::Arc;
 
-/// Of a thousand objects so many are torn: the first half is there, and their writer learns of an error.
+/// Of a thousand new objects so many are torn: the first half is there, and their writer learns of an error.
 const TORN: u64 = 20;
 
 /// The bucket, as one node uses it.
@@ -62,7 +62,9 @@ fn answered<T>(is_lost: bool, answer: T) -> Result<T> {
 impl ObjectStore for Bucket {
     async fn put_opts(&self, location: &Path, payload: PutPayload, options: PutOptions) -> Result<PutResult> {
         let is_lost = self.reach().await?;
-        if self.faults.happens(TORN) {
+        // Buckets replace an object as a whole.
+        let is_there = self.objects.head(location).await.is_ok();
+        if !is_there && self.faults.happens(TORN) {
             let whole = Bytes::from(payload);
             self.objects
                 .put(location, whole.slice(..whole.len() / 2).into())

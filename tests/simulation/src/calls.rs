@@ -1,20 +1,28 @@
 //! The calls that clients make, as a node carries them out.
 
+use crate::engine::bar;
 use bytes::Bytes;
 use pliant_asset::FileSet;
 use pliant_core::engine::{Handle, HandlePose, HandleSet, Region};
 use pliant_session::{CallKey, Error, Manager, MemoryUse, StreamAnswer, Tenant};
-use pliant_wire::{DeformOptions, PoseCommit, PoseKey, SessionOptions, StreamRequest, pb};
+use pliant_wire::{DeformOptions, PoseCommit, PoseKey, SessionOptions, StreamRequest, json, pb, session_edit};
 use std::fmt;
 
 /// A call.
 #[derive(Debug, Clone)]
 pub enum Call {
+    /// Opens a model of points, or the bar where there are none.
     Create {
         points: u64,
     },
+    /// Sets so many handles, on the bar its top or both ends.
     Handles {
         count: u64,
+        on_bar: bool,
+    },
+    /// Cuts the bar at so many hundredths.
+    Cut {
+        height: u64,
     },
     Solve {
         x: u64,
@@ -58,7 +66,7 @@ fn key_of(key: &str, call: &Call) -> Option<CallKey> {
 }
 
 fn moved(x: u64) -> Vec<(String, HandlePose)> {
-    vec![("h0".into(), HandlePose::translation([x as f64 / 64.0, 0.0, 0.0]))]
+    vec![("h0".into(), HandlePose::translation([x as f64 / 1024.0, 0.0, 0.0]))]
 }
 
 /// Carries out a call at a node.
@@ -74,13 +82,23 @@ pub async fn carry_out(manager: &Manager, id: &str, call: Call, key: String) -> 
     let keyed = key_of(&key, &call);
     match call {
         Call::Create { points } => {
-            let model = FileSet::single("model.obj", Bytes::from(format!("points {points}")));
+            let text = match points {
+                0 => bar(),
+                points => format!("points {points}"),
+            };
+            let model = FileSet::single("model.obj", Bytes::from(text));
             let made = manager.create(&me, model, SessionOptions::default(), keyed).await?;
             answered.id = made.value.id;
             answered.revision = 1;
         }
-        Call::Handles { count } => {
-            let handles = (0..count).map(|k| Handle::new(format!("h{k}"), Region::Component(0)));
+        Call::Handles { count, on_bar } => {
+            let ends = [([0.0, 0.0, 1.0], 2.7), ([0.0, 0.0, -1.0], -0.3)];
+            let region = |k: usize| match on_bar {
+                true => Region::half_space(ends[k % 2].0, ends[k % 2].1),
+                false => Region::Component(0),
+            };
+            let count = if on_bar { count.min(2) } else { count };
+            let handles = (0..count as usize).map(|k| Handle::new(format!("h{k}"), region(k)));
             let set: HandleSet = handles.collect::<Vec<_>>().into();
             answered.revision = manager.set_handles(&me, id, set, keyed).await?.revision;
         }
@@ -93,6 +111,15 @@ pub async fn carry_out(manager: &Manager, id: &str, call: Call, key: String) -> 
             answered.revision = manager.solve(&me, id, pose, keyed).await?.revision;
         }
         Call::Drag { poses, x } => drag(manager, id, (poses, x), key, &mut answered).await?,
+        Call::Cut { height } => {
+            let edit = format!(
+                r#"{{"cut": {{"plane": {{"normal": [0, 0, 1], "offset": {}}}, "keep": "ABOVE", "fill": true}}}}"#,
+                height as f64 / 100.0
+            );
+            let read = json::from_json(edit.as_bytes()).map_err(Error::from)?;
+            let edit = session_edit(&read).map_err(Error::from)?;
+            answered.revision = manager.edit(&me, id, edit, keyed).await?.revision;
+        }
         Call::Undo => answered.revision = manager.undo(&me, id, Some(&key)).await?.revision,
         Call::Redo => answered.revision = manager.redo(&me, id, Some(&key)).await?.revision,
         Call::Look => drop(manager.positions(&me, id).await?),

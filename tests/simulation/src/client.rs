@@ -26,6 +26,7 @@ pub struct KnownSession {
     /// The commits that can be gone to.
     commits: Vec<KnownCommit>,
     at: usize,
+    is_bar: bool,
     /// All that was acknowledged, undo and redo among them.
     pub acknowledged: Vec<KnownCommit>,
     /// What histories were before.
@@ -48,10 +49,13 @@ pub struct Client {
 impl Client {
     /// Lives the life of a session; returns what must be stored of it.
     pub async fn run(mut self) -> KnownSession {
-        let points = self.random.below(1..40);
+        // Half of the clients have the bar, and the product's engine.
+        let points = self.random.below(0..2) * self.random.below(1..40);
+        self.session.is_bar = points == 0;
         let created = Call::Create { points };
         self.make(0, created).await;
-        self.make(1, Call::Handles { count: 2 }).await;
+        let on_bar = self.session.is_bar;
+        self.make(1, Call::Handles { count: 2, on_bar }).await;
         for number in 2..CALLS {
             tokio::time::sleep(self.random.span(0..1500)).await;
             if self.random.happens(80) {
@@ -80,12 +84,16 @@ impl Client {
         loop {
             match self.random.below(0..12) {
                 0 => {
-                    let count = self.random.below(1..4);
-                    return Call::Handles { count };
+                    let (count, on_bar) = (self.random.below(1..4), self.session.is_bar);
+                    return Call::Handles { count, on_bar };
                 }
                 1 | 2 if can_undo => return Call::Undo,
                 3 | 4 if can_redo => return Call::Redo,
-                5 | 6 => return Call::Look,
+                5 => return Call::Look,
+                6 if self.session.is_bar => {
+                    let height = self.random.below(20..200);
+                    return Call::Cut { height };
+                }
                 7 | 8 => {
                     let poses = self.random.below(2..30);
                     let x = self.random.below(0..1000);
@@ -121,6 +129,13 @@ impl Client {
                     return;
                 }
                 Err(error) if error.code == ErrorCode::NotFound && matches!(call, Call::Delete) => return,
+                // What is left of the bar may lie above a cut, and have no lower end.
+                Err(error)
+                    if matches!(call, Call::Cut { .. } | Call::Handles { on_bar: true, .. }) && is_of_bar(&error) =>
+                {
+                    self.report.line(format_args!("{key} {call:?}: {}", error.message));
+                    return;
+                }
                 Err(error) => self.refused(&key, &call, &error).await,
             }
             if self.report.is_violated() {
@@ -163,7 +178,7 @@ impl Client {
                 session.id = answered.id;
                 session.commits = vec![(answered.revision, String::new())];
             }
-            Call::Handles { .. } | Call::Solve { .. } | Call::Drag { .. } => {
+            Call::Handles { .. } | Call::Solve { .. } | Call::Drag { .. } | Call::Cut { .. } => {
                 session.commits.truncate(session.at + 1);
                 session.commits.push((answered.revision, String::new()));
                 session.at += 1;
@@ -204,6 +219,13 @@ impl Client {
             self.session.acknowledged.push((revision, digest));
         }
     }
+}
+
+fn is_of_bar(error: &Error) -> bool {
+    matches!(
+        error.code,
+        ErrorCode::FailedPrecondition | ErrorCode::InvalidArgument { .. }
+    )
 }
 
 fn commits_of(history: &pb::HistoryResponse) -> Vec<KnownCommit> {

@@ -380,7 +380,8 @@ impl TransactionWriter for Connection {
         let written = self.ask(WRITE, move |db| {
             db.transact((&node, number), &uncertain, &orders, now_ms())
         });
-        written.await.flatten().map_err(WriteFailure::Transaction)
+        let answers = written.await.and_then(|answers| answers);
+        answers.map_err(WriteFailure::Transaction)
     }
 
     async fn finish(&mut self) {

@@ -1,6 +1,6 @@
 //! An engine whose shapes follow from handles and poses alone, in microseconds, and that refuses at times with an error about memory.
 //!
-//! A model is the text `points N`. Vertex `v` belongs to handle `v % handles` and goes where that handle's translation takes it.
+//! A model is the text `points N`; the bar is a real one. Vertex `v` belongs to handle `v % handles` and goes where that handle's translation takes it.
 
 use crate::faults::Faults;
 use glam::DVec3;
@@ -10,7 +10,7 @@ use pliant_core::engine::{
     ModelShape, OpenOptions, PoseStats, Shader, SolveMode, SolveSettings, SolveUpdate, SolverFacts,
 };
 use pliant_exec::Exec;
-use pliant_session::{Engine, EngineOpener};
+use pliant_session::{Engine, EngineOpener, OpenDeformer};
 use std::sync::Arc;
 
 /// Of a thousand pieces of work so many are refused memory.
@@ -19,9 +19,9 @@ const REFUSED: u64 = 10;
 pub const NO_MEMORY: &str = "bytes that a simulation refuses";
 
 /// Bytes that a vertex is said to need.
-const BYTES_PER_VERTEX: u64 = 20_000;
+const BYTES_PER_VERTEX: u64 = 80_000;
 
-/// Opens engines.
+/// Opens engines of points, and the product's engine on other models.
 #[derive(Debug, Clone)]
 pub struct OpenPoints(pub Faults);
 
@@ -47,14 +47,16 @@ impl EngineOpener for OpenPoints {
     fn open(
         &self,
         files: FileSet,
-        _: &OpenOptions,
-        _: &DeformerLimits,
-        _: &Exec<'_>,
+        options: &OpenOptions,
+        limits: &DeformerLimits,
+        exec: &Exec<'_>,
     ) -> Result<Box<dyn Engine>, Error> {
         ask_for_memory(&self.0)?;
         let text = String::from_utf8_lossy(&files.main).into_owned();
         let points = text.strip_prefix("points ").and_then(|n| n.trim().parse::<u32>().ok());
-        let points = points.ok_or_else(|| Error::invalid("model", "is not a number of points"))?;
+        let Some(points) = points else {
+            return OpenDeformer.open(files, options, limits, exec);
+        };
         Ok(Box::new(Points {
             rest: Arc::new((0..points).map(|v| DVec3::new(f64::from(v), 0.5, 0.25)).collect()),
             handles: HandleSet::default(),
@@ -165,4 +167,31 @@ impl Engine for Points {
     fn shader(&self) -> Shader {
         Shader::default()
     }
+}
+
+/// An upright bar of square section, three units high, closed, as OBJ.
+pub fn bar() -> String {
+    let (rings, corners) = (9, [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]);
+    let mut text = String::new();
+    for (ring, (x, y)) in (0..=rings).flat_map(|ring| corners.map(|corner| (ring, corner))) {
+        text += &format!("v {x} {y} {}\n", f64::from(ring) * 3.0 / f64::from(rings));
+    }
+    let at = |ring: i32, corner: i32| ring * 4 + corner % 4 + 1;
+    for (ring, corner) in (0..rings).flat_map(|ring| [0, 1, 2, 3].map(|corner| (ring, corner))) {
+        let (next, above) = (corner + 1, ring + 1);
+        text += &format!(
+            "f {} {} {} {}\n",
+            at(ring, corner),
+            at(ring, next),
+            at(above, next),
+            at(above, corner)
+        );
+    }
+    text + &format!(
+        "f 4 3 2 1\nf {} {} {} {}\n",
+        at(rings, 0),
+        at(rings, 1),
+        at(rings, 2),
+        at(rings, 3)
+    )
 }

@@ -1,8 +1,8 @@
 //! Sessions, stores and nodes under one seed.
 //!
 //! The code under test is that of the product: managers, sessions, idempotency keys, leases, the store with its writer and its objects.
-//! Network and clock are turmoil's. Model are the database (`tables`), the bucket and the engine; they delay, lose answers, tear
-//! objects and refuse memory. Work is computed while its caller waits, so a seed gives the same run each time.
+//! Network and clock are turmoil's. Models are the database (`tables`), the bucket and the engine of half the clients; they delay,
+//! lose answers, tear objects and refuse memory. Work is computed while its caller waits, so a seed gives the same run each time.
 //!
 //! | file | what |
 //! |---|---|

@@ -62,7 +62,7 @@ impl Surroundings for SimulatedSurroundings {
 fn config() -> SessionConfig {
     SessionConfig {
         sessions: 3,
-        memory_bytes: 4 << 20,
+        memory_bytes: 12 << 20,
         compute_threads: 1,
         idle: Duration::from_secs(4),
         ..SessionConfig::default()

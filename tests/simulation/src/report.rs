@@ -3,6 +3,7 @@
 use crate::time::elapsed;
 use std::fmt::Write as _;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 /// What a run has seen so far. Clones share it.
 #[derive(Debug, Clone, Default)]
@@ -42,8 +43,12 @@ impl Report {
 
     /// Notes what happened.
     pub fn line(&self, what: impl std::fmt::Display) {
-        let at = elapsed().as_millis();
-        let _ = writeln!(self.seen().trace, "{at:7} {what}");
+        self.line_at(elapsed(), what);
+    }
+
+    /// Notes what happened at that time.
+    pub fn line_at(&self, at: Duration, what: impl std::fmt::Display) {
+        let _ = writeln!(self.seen().trace, "{:7} {what}", at.as_millis());
     }
 
     /// Notes what must not be.

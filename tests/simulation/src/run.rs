@@ -213,11 +213,11 @@ impl World {
         match self.random.below(0..6) {
             0 | 1 => {
                 sim.crash(name.clone());
-                self.report.line(format_args!("{name} crashes"));
+                self.report.line_at(now, format_args!("{name} crashes"));
                 self.lasting.push((until, LastingFault::Crash(name)));
             }
             2 => {
-                self.report.line(format_args!("{name} is to leave"));
+                self.report.line_at(now, format_args!("{name} is to leave"));
                 node.leave.notify_one();
             }
             3 => {
@@ -227,14 +227,16 @@ impl World {
             }
             4 => {
                 sim.partition(name.clone(), DATABASE);
-                self.report.line(format_args!("{name} loses the database"));
+                self.report.line_at(now, format_args!("{name} loses the database"));
                 self.lasting
                     .push((until, LastingFault::Partition(name, DATABASE.into())));
             }
             _ => {
                 sim.hold(name.clone(), DATABASE);
-                self.report
-                    .line(format_args!("{name} and the database do not hear each other in time"));
+                self.report.line_at(
+                    now,
+                    format_args!("{name} and the database do not hear each other in time"),
+                );
                 self.lasting.push((until, LastingFault::Hold(name, DATABASE.into())));
             }
         }

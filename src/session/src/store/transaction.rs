@@ -35,7 +35,10 @@ impl TransactionWriter for SqlWriter {
         let transaction = write_together(connection, uncertain, number, orders, is_shared);
         let late = |_| StoreError::Unavailable(format!("it took longer than {PATIENCE:?}"));
         let written = tokio::time::timeout(PATIENCE, transaction).await;
-        let answers = written.map_err(late).flatten().map_err(WriteFailure::Transaction)?;
+        let answers = written
+            .map_err(late)
+            .and_then(|answers| answers)
+            .map_err(WriteFailure::Transaction)?;
         if let (Some(newest), Some(number)) = (&mut self.newest, number) {
             newest.note(number);
         }
