@@ -9,6 +9,7 @@ mod faulty_store;
 mod life;
 mod limits;
 mod real;
+mod refused_memory;
 mod store_faults;
 mod stream;
 mod targets;

@@ -19,6 +19,8 @@ use std::sync::Arc;
 #[derive(Clone)]
 pub struct Pool {
     threads: Arc<rayon::ThreadPool>,
+    /// Whether who queues work waits until it is done.
+    is_inline: bool,
 }
 
 /// The threads of a pool could not be started.
@@ -53,6 +55,7 @@ impl Pool {
             .build()
             .map(|pool| Self {
                 threads: Arc::new(pool),
+                is_inline: false,
             })
             .map_err(|e| PoolError {
                 threads,
@@ -100,9 +103,32 @@ impl Pool {
         })
     }
 
-    /// Queues `work` without waiting for it.
+    /// Queues `work` without waiting for it, unless the pool is [inline](Pool::inline).
     pub fn spawn(&self, work: impl FnOnce() + Send + 'static) {
-        self.threads.spawn(work);
+        match self.is_inline {
+            true => self.threads.install(work),
+            false => self.threads.spawn(work),
+        }
+    }
+
+    /// The same threads; who queues work waits until it is done, so that what happens meanwhile is the same each time.
+    ///
+    /// ```
+    /// use pliant_exec::pool::Pool;
+    /// use std::sync::{Arc, atomic::{AtomicBool, Ordering::SeqCst}};
+    ///
+    /// let (pool, done) = (Pool::new(1)?.inline(), Arc::new(AtomicBool::new(false)));
+    /// let inside = Arc::clone(&done);
+    /// pool.spawn(move || inside.store(true, SeqCst));
+    /// assert!(done.load(SeqCst));
+    /// # Ok::<(), pliant_exec::pool::PoolError>(())
+    /// ```
+    #[must_use]
+    pub fn inline(self) -> Self {
+        Self {
+            is_inline: true,
+            ..self
+        }
     }
 }
 

@@ -22,6 +22,7 @@
 //! | `capacity` | compute slots, bytes, leases, who is still inside, giving work up |
 //! | `registry`, `shared` | the sessions that are open, and what they share |
 //! | `engine` | what a session needs of the thing that deforms its model |
+//! | `surroundings` | what it needs of the machine: the calendar, random bits |
 //! | `keeping` | sessions with a store: commits kept, idle sessions out of memory and back |
 //! | `store` | sessions kept on disk: a database, and objects by content |
 //! | `config`, `error`, `metrics`, `answers` | limits, the status table and where a session is when it is at another node, counts, answer types |
@@ -44,6 +45,7 @@ mod registry;
 mod shared;
 pub mod store;
 mod stream;
+mod surroundings;
 mod task;
 
 pub use animation::frame_outbox::{AnimationControl, AnimationReader};
@@ -67,3 +69,4 @@ pub use quota::tenant_account::MOST_TENANTS;
 pub use quota::tenant_account::TenantAccount;
 pub use quota::tenant_quota::{TenantQuota, TenantQuotas};
 pub use stream::ends::{StreamInput, StreamOutput};
+pub use surroundings::{RealSurroundings, Surroundings};

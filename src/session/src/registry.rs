@@ -314,9 +314,11 @@ impl SessionRegistry {
         Ok(session)
     }
 
-    /// Every session.
+    /// Every session, oldest first.
     pub fn all(&self) -> Vec<Arc<OpenSession>> {
-        self.sessions.iter().map(|entry| Arc::clone(entry.value())).collect()
+        let mut all: Vec<_> = self.sessions.iter().map(|entry| Arc::clone(entry.value())).collect();
+        all.sort_unstable_by_key(|session| session.number);
+        all
     }
 }
 

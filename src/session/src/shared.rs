@@ -14,6 +14,7 @@ use crate::metrics::Metrics;
 use crate::quota::tenant_account::TenantAccounts;
 use crate::registry::{OpenSession, SessionRegistry};
 use crate::store::Store;
+use crate::surroundings::Surroundings;
 use pliant_exec::progress::CancelFlag;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
@@ -41,6 +42,7 @@ pub(super) struct SharedResources {
     pub locks: SessionLocks,
     pub idempotency: IdempotencyKeys<StoredAnswer>,
     pub opener: Box<dyn EngineOpener>,
+    pub surroundings: Arc<dyn Surroundings>,
     pub gate: CallGate,
     pub numbers: AtomicU64,
     /// When this server began, in milliseconds since 1970. The time to live does not pass while no server runs, so that

@@ -15,7 +15,7 @@ use crate::keeping::kept_session::KeptSession;
 use crate::keeping::kept_session::MemoryState;
 use crate::registry::{OpenAnimations, OpenSession, OpenStreams};
 use crate::shared::SharedResources;
-use crate::store::{Commit, Generation, HeldSession, NewCommit, NewSession, SessionRecord, now_ms};
+use crate::store::{Commit, Generation, HeldSession, NewCommit, NewSession, SessionRecord};
 use crate::task::session_task::{SessionTask, view_of};
 use pliant_asset::FileSet;
 use pliant_wire::record::{FileReferences, LoggedCommit, RecordedModel};
@@ -73,11 +73,11 @@ pub(crate) async fn create_session(
     };
     let opened = open_model(shared, &places, model, arrived, &guard).await?;
     let record = SessionRecord {
-        id: new_id()?,
+        id: format!("{:032x}", shared.surroundings.random()?),
         number: next_number(shared).await?,
         tenant: tenant.clone(),
         label,
-        created_ms: now_ms(),
+        created_ms: shared.surroundings.now_ms(),
         ttl: ttl.unwrap_or_else(|| default_ttl(shared, &places)),
     };
     let mut generation = Generation::default();
@@ -281,11 +281,4 @@ fn fingerprint(files: &FileSet, options: &[u8]) -> RequestFingerprint {
         parts.extend([uri.as_bytes(), bytes]);
     }
     RequestFingerprint::of("create", &parts)
-}
-
-/// 128 random bits as 32 hexadecimal digits.
-fn new_id() -> Result<String, Error> {
-    let mut bytes = [0u8; 16];
-    getrandom::fill(&mut bytes).map_err(|e| Error::new(ErrorCode::Internal, format!("no random numbers: {e}")))?;
-    Ok(format!("{:032x}", u128::from_be_bytes(bytes)))
 }

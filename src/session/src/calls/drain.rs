@@ -122,9 +122,8 @@ impl Manager {
         let ownership = self.shared.store.as_ref()?.ownership()?;
         let mut others = ownership.nodes().await.ok()?;
         others.retain(|(owner, _)| owner.node != ownership.node().name);
-        let mut random = [0u8; 8];
-        getrandom::fill(&mut random).ok()?;
-        let chosen = usize::try_from(u64::from_le_bytes(random) % others.len().max(1) as u64).ok()?;
+        let random = self.shared.surroundings.random().ok()?;
+        let chosen = usize::try_from(random % others.len().max(1) as u128).ok()?;
         (chosen < others.len()).then(|| others.swap_remove(chosen))
     }
 }

@@ -21,7 +21,7 @@ use crate::capacity::work_watch::CancelOnDrop;
 use crate::config::SessionConfig;
 use crate::engine::{EngineOpener, OpenDeformer};
 use crate::error::{Error, ErrorCode};
-use crate::keeping::heartbeat::{be_sure_of_lease, beat, beat_for_ever};
+use crate::keeping::heartbeat::{be_sure_of_lease, beat, beat_for_ever, refuse_stale_state};
 use crate::keeping::kept_session::listed_facts;
 use crate::keeping::lease_watch::LeaseWatch;
 use crate::keeping::lease_watch::SessionLocks;
@@ -32,7 +32,8 @@ use crate::quota::tenant_account::TenantAccount;
 use crate::quota::tenant_account::TenantAccounts;
 use crate::registry::{OpenSession, SessionRegistry};
 use crate::shared::SharedResources;
-use crate::store::{Store, StoreError, now_ms};
+use crate::store::{Store, StoreError};
+use crate::surroundings::RealSurroundings;
 use pliant_asset::FileSet;
 use pliant_core::engine::HandleSet;
 use pliant_wire::{SessionOptions, SessionPage, pb};
@@ -81,7 +82,8 @@ impl Manager {
         store: Arc<Store>,
     ) -> Result<Self, Error> {
         let first = store.highest_number().await?.saturating_add(1);
-        let kept_keys = match store.is_writable() {
+        // Where several nodes share the store, each key is read from it when it is used: another node may take back a commit with its key.
+        let kept_keys = match store.is_writable() && store.ownership().is_none() {
             true => store.keys().await?,
             false => Vec::new(),
         };
@@ -91,7 +93,7 @@ impl Manager {
         for (tenant, sessions) in stored {
             shared.accounts.of(&tenant)?.count_stored(sessions);
         }
-        let now = now_ms();
+        let now = shared.surroundings.now_ms();
         for key in kept_keys {
             let age = Duration::from_millis(now.saturating_sub(key.at_ms));
             if age < shared.config.idempotency_age {
@@ -116,12 +118,16 @@ impl Manager {
         first_number: u64,
     ) -> Result<Self, Error> {
         config.validate()?;
+        let surroundings = match &store {
+            Some(store) => store.surroundings(),
+            None => Arc::new(RealSurroundings),
+        };
         let metrics = Arc::new(Metrics::default());
         let limit = i64::try_from(config.memory_bytes).unwrap_or(i64::MAX);
         metrics.bytes_limit.set(limit);
         let ledger = MemoryLedger::new(config.memory_bytes, Arc::clone(&metrics));
         let shared = SharedResources {
-            compute: ComputeSlots::new(&config, Arc::clone(&metrics))?,
+            compute: ComputeSlots::new(&config, Arc::clone(&metrics), surroundings.computes_inline())?,
             session_permits: Arc::new(Semaphore::new(config.sessions)),
             accounts: TenantAccounts::new(config.quotas.clone(), metrics.refused.clone()),
             animations: Arc::new(Semaphore::new(config.animations)),
@@ -134,7 +140,8 @@ impl Manager {
             opener: Box::new(opener),
             gate: CallGate::new(),
             numbers: AtomicU64::new(first_number),
-            started_ms: now_ms(),
+            started_ms: surroundings.now_ms(),
+            surroundings,
             draining: AtomicBool::new(false),
             aborted: CancellationToken::new(),
             abort_flag: Arc::default(),
@@ -177,16 +184,35 @@ impl Manager {
         options: SessionOptions,
         key: Option<CallKey>,
     ) -> Result<KeyedAnswer<pb::Session>, Error> {
-        match create_session(&self.shared, tenant, &self.who, files, options, key).await? {
-            CreatedSession::Now(value) => Ok(KeyedAnswer {
-                value: *value,
-                repeated: false,
-            }),
-            CreatedSession::Before(answer) => Ok(KeyedAnswer {
-                value: self.kept_answer(tenant, answer).await?.try_into()?,
-                repeated: true,
-            }),
+        let is_shared = self
+            .shared
+            .store
+            .as_ref()
+            .is_some_and(|store| store.ownership().is_some());
+        // Another node that refused the creation may have taken the session and its key back since the key was read.
+        let tries = if is_shared && key.is_some() { 2 } else { 1 };
+        for left in (0..tries).rev() {
+            let asked = (files.clone(), options.clone(), key.clone());
+            let answer = match create_session(&self.shared, tenant, &self.who, asked.0, asked.1, asked.2).await? {
+                CreatedSession::Now(value) => {
+                    return Ok(KeyedAnswer {
+                        value: *value,
+                        repeated: false,
+                    });
+                }
+                CreatedSession::Before(answer) => answer,
+            };
+            match self.kept_answer(tenant, answer).await {
+                Err(error) if left > 0 && matches!(error.code, ErrorCode::NotFound | ErrorCode::AlreadyExists) => {}
+                kept => {
+                    return Ok(KeyedAnswer {
+                        value: kept?.try_into()?,
+                        repeated: true,
+                    });
+                }
+            }
         }
+        Err(StoreError::Repeated.into())
     }
 
     /// Describes a session and renews its lease.
@@ -215,7 +241,6 @@ impl Manager {
         }
         let mut sessions = self.shared.registry.all();
         sessions.retain(|s| s.tenant == *tenant && s.number > page.after && !s.closing.is_cancelled());
-        sessions.sort_unstable_by_key(|s| s.number);
         let more = sessions.len() > page.size;
         sessions.truncate(page.size);
         Ok(SessionList {
@@ -334,6 +359,7 @@ impl Manager {
         key: Option<CallKey>,
         call: &C,
     ) -> Result<ControlFlow<C::Answer, Option<KeyClaim<StoredAnswer>>>, Error> {
+        refuse_stale_state(&self.shared)?;
         let Some(CallKey { key, request }) = key else {
             return Ok(ControlFlow::Continue(None));
         };

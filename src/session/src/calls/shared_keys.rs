@@ -5,7 +5,7 @@ use crate::calls::command::StoredAnswer;
 use crate::calls::idempotency::{ClaimOutcome, RequestFingerprint, key_of_another_request};
 use crate::error::Error;
 use crate::shared::SharedResources;
-use crate::store::{millis, now_ms};
+use crate::store::millis;
 use std::time::Duration;
 
 /// Claims a key, or gives the answer that is kept for it, here or by another node.
@@ -25,7 +25,7 @@ pub(crate) async fn claim_everywhere(
     let Some(known) = store.key(tenant, key).await? else {
         return Ok(ClaimOutcome::New(claim));
     };
-    let now = now_ms();
+    let now = shared.surroundings.now_ms();
     if Duration::from_millis(now.saturating_sub(known.at_ms)) >= shared.config.idempotency_age {
         let before_ms = now
             .saturating_sub(millis(shared.config.idempotency_age))

@@ -160,22 +160,32 @@ impl SlotThreads {
 }
 
 impl ComputeSlots {
-    pub fn new(config: &SessionConfig, metrics: Arc<Metrics>) -> Result<Self, Error> {
+    /// Starts the threads; with `inline` who asks for work waits until it is done.
+    pub fn new(config: &SessionConfig, metrics: Arc<Metrics>, inline: bool) -> Result<Self, Error> {
         let unstarted = |e: pliant_exec::pool::PoolError| Error::new(ErrorCode::Internal, e.to_string());
         let threads = config.compute_threads;
-        let builds = Pool::started_with(threads, "build", give_way).map_err(unstarted)?;
-        let interactive = Pool::new(threads).map_err(unstarted)?;
+        let started = |threads, role, begin: fn()| {
+            let pool = Pool::started_with(threads, role, begin).map_err(unstarted)?;
+            Ok::<_, Error>(if inline { pool.inline() } else { pool })
+        };
+        let builds = started(threads, "build", give_way)?;
+        let interactive = started(threads, "compute", || {})?;
         let slots = slots_of(config, &interactive);
         let for_drags = slots.div_ceil(SLOTS_A_DRAG);
         let most = slots + for_drags;
         // With a share of two threads for every slot none would ever run.
-        let alone = if interactive.threads() / most < 2 { most } else { 0 };
+        let alone = if interactive.threads() / most < 2 && !inline {
+            most
+        } else {
+            0
+        };
         let alone = SingleThreads::start(alone, || {}).map_err(unstarted)?;
-        let for_another = SingleThreads::start(SLOTS_FOR_ANOTHER_TENANT, give_way).map_err(unstarted)?;
+        let for_another =
+            SingleThreads::start(if inline { 0 } else { SLOTS_FOR_ANOTHER_TENANT }, give_way).map_err(unstarted)?;
         Ok(Self {
             interactive: ComputeLane::interactive(slots, for_drags, config, interactive, alone),
             builds: ComputeLane::builds(slots, config, builds, for_another),
-            packing: Pool::started_with(PACKING_THREADS, "pack", || {}).map_err(unstarted)?,
+            packing: started(PACKING_THREADS, "pack", || {})?,
             packing_seats: Arc::new(Semaphore::new(PACKING_QUEUE)),
             wait: config.compute_wait,
             metrics,
@@ -455,7 +465,7 @@ mod tests {
     use crate::answers::Tenant;
 
     fn compute(config: SessionConfig) -> ComputeSlots {
-        ComputeSlots::new(&config, Arc::default()).expect("threads start")
+        ComputeSlots::new(&config, Arc::default(), false).expect("threads start")
     }
 
     /// A slot for a call that may wait long.

@@ -4,11 +4,13 @@
 //! before it serves a call: when its last renewal may be older than its lease, it renews first, and closes sessions
 //! that others have taken.
 
+use crate::error::Error;
 use crate::shared::SharedResources;
 use crate::store::{NodeLoad, SharedStore, StoreError};
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Weak};
-use std::time::{Duration, Instant};
+use std::time::Duration;
+use tokio::time::Instant;
 
 /// How long a call waits for the database where the lease may have run out. After that the sessions in memory continue.
 const PATIENCE: Duration = Duration::from_millis(500);
@@ -85,6 +87,24 @@ async fn let_go_of_lost(shared: &SharedResources, ownership: &SharedStore) -> Re
     Ok(())
 }
 
+fn is_recent(at: Option<Instant>, span: Duration) -> bool {
+    at.is_some_and(|at| at.elapsed() < span)
+}
+
+/// Refuses a change while the lease may have run out: another node may have the session and have changed it, so that what is in memory
+/// here says nothing about what is allowed.
+///
+/// # Errors
+/// `UNAVAILABLE`.
+pub(crate) fn refuse_stale_state(shared: &SharedResources) -> Result<(), Error> {
+    let ownership = shared.store.as_ref().and_then(|store| store.ownership());
+    let has_lease = |of: &SharedStore| is_recent(shared.lease_watch.times().heard, of.node().lease);
+    match ownership.is_none_or(has_lease) {
+        true => Ok(()),
+        false => Err(StoreError::Unavailable("the lease of this node may have run out".into()).into()),
+    }
+}
+
 /// Renews the lease before a call when others may have taken sessions of this node. Without the database, sessions in
 /// memory are served as they are; nothing can be written then.
 pub(crate) async fn be_sure_of_lease(shared: &Arc<SharedResources>) {
@@ -92,7 +112,6 @@ pub(crate) async fn be_sure_of_lease(shared: &Arc<SharedResources>) {
     let Some(node) = store.ownership().map(|ownership| ownership.node().clone()) else {
         return;
     };
-    let is_recent = |at: Option<Instant>, span: Duration| at.is_some_and(|at| at.elapsed() < span);
     let times = shared.lease_watch.times();
     // No call waits again for a database that was away a moment ago.
     if is_recent(times.heard, node.lease) || is_recent(times.tried, node.heartbeat) {

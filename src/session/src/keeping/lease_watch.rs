@@ -3,8 +3,8 @@
 
 use dashmap::DashMap;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Instant;
 use tokio::sync::{Mutex as AsyncMutex, OwnedMutexGuard};
+use tokio::time::Instant;
 
 /// When this node had a word with the store.
 #[derive(Debug, Default)]

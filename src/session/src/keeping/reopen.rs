@@ -13,9 +13,7 @@ use crate::keeping::replay::{Replay, ReplayError, ReplayedLog};
 use crate::keeping::sweep::evict_idle;
 use crate::registry::OpenSession;
 use crate::shared::SharedResources;
-use crate::store::{
-    Generation, HeldSession, SessionClaim, Store, StoreError, StoredSession, millis, now_ms, read_shape,
-};
+use crate::store::{Generation, HeldSession, SessionClaim, Store, StoreError, StoredSession, millis, read_shape};
 use pliant_asset::FileSet;
 use pliant_core::engine;
 use pliant_exec::Exec;
@@ -78,12 +76,12 @@ pub(crate) async fn claim_session(
             false => Err(Error::no_session(id)),
         };
     };
-    let until = Instant::now() + GIVEN_BACK_WITHIN;
+    let until = tokio::time::Instant::now() + GIVEN_BACK_WITHIN;
     loop {
         match ownership.claim(tenant, id).await? {
             SessionClaim::Here(generation) => return Ok(generation),
             SessionClaim::Missing => return Err(Error::no_session(id)),
-            SessionClaim::Elsewhere { is_leaving: true, .. } if Instant::now() < until => {
+            SessionClaim::Elsewhere { is_leaving: true, .. } if tokio::time::Instant::now() < until => {
                 tokio::time::sleep(BETWEEN_LOOKS).await;
             }
             SessionClaim::Elsewhere { owner, .. } => {
@@ -120,7 +118,7 @@ async fn open_claimed(
     })?;
     let stored = stored.ok_or_else(|| Error::no_session(id))?;
     let last_use = stored.used_ms.max(shared.started_ms);
-    if last_use.saturating_add(millis(stored.record.ttl)) < now_ms() {
+    if last_use.saturating_add(millis(stored.record.ttl)) < shared.surroundings.now_ms() {
         return Err(Error::no_session(id));
     }
     open_stored(shared, store, stored, generation)

@@ -6,7 +6,7 @@ use crate::audit::audit_entry::{AuditEntry, AuditedAction};
 use crate::registry::DepartingSessions;
 use crate::registry::OpenSession;
 use crate::shared::SharedResources;
-use crate::store::{Generation, HeldSession, Store, StoreError, UsedSession, ms_ago, now_ms};
+use crate::store::{Generation, HeldSession, Store, StoreError, UsedSession};
 use futures::StreamExt as _;
 use futures::stream::FuturesUnordered;
 use std::collections::BTreeMap;
@@ -57,7 +57,7 @@ async fn sweep(
     if round.is_multiple_of(NOTED_EVERY) {
         note_uses(shared, store, noted).await?;
     }
-    let (since_ms, until_ms) = (shared.started_ms, now_ms());
+    let (since_ms, until_ms) = (shared.started_ms, shared.surroundings.now_ms());
     let others = store.ownership();
     let is_turn = others.is_none() || round.is_multiple_of(SHARED_EVERY);
     let expired = if is_turn {
@@ -87,7 +87,9 @@ async fn sweep(
         tracing::info!(session.id = %id, "stored session expired");
     }
     if round.is_multiple_of(KEYS_EVERY) {
-        store.forget_keys(ms_ago(shared.config.idempotency_age)).await?;
+        store
+            .forget_keys(shared.surroundings.ms_ago(shared.config.idempotency_age))
+            .await?;
         forget_audit(shared, store).await?;
     }
     if let Some(others) = others.filter(|_| is_turn) {
@@ -102,7 +104,7 @@ async fn forget_audit(shared: &SharedResources, store: &Store) -> Result<(), Sto
         let kept = shared.config.quotas.of(&tenant).audit_age.unwrap_or(AUDIT_AGE);
         let kept_ms = u64::try_from(kept.as_millis()).unwrap_or(u64::MAX);
         store
-            .forget_audit(Some(tenant), now_ms().saturating_sub(kept_ms))
+            .forget_audit(Some(tenant), shared.surroundings.now_ms().saturating_sub(kept_ms))
             .await?;
     }
     Ok(())
@@ -115,7 +117,12 @@ pub(crate) async fn note_uses(
     noted: &mut BTreeMap<String, u64>,
 ) -> Result<(), StoreError> {
     let sessions = shared.registry.all().into_iter();
-    let uses = sessions.map(|session| (session.held.clone(), ms_ago(session.lease.last_use().elapsed())));
+    let uses = sessions.map(|session| {
+        (
+            session.held.clone(),
+            shared.surroundings.ms_ago(session.lease.last_use().elapsed()),
+        )
+    });
     let held: Vec<(HeldSession, u64)> = uses.collect();
     let uses: BTreeMap<String, u64> = held.iter().map(|(held, at)| (held.id.clone(), *at)).collect();
     let changed = |(held, at): &(HeldSession, u64)| noted.get(&held.id).is_none_or(|before| *at > before + 500);

@@ -1,30 +1,30 @@
 //! The store on a database and a folder of objects: what is written, and what it does itself. What is read is in `reading`.
 
+use super::database::SessionTables;
 use super::location::FolderHold;
-use super::objects::{NAMED_WITHIN, Objects, is_used, note_loose};
-use super::schema::{Dialect, commit_checksum};
+use super::objects::{NAMED_WITHIN, Objects};
+use super::schema::commit_checksum;
 use super::session_store::{Generation, HeldSession, NewCommit, NewSession, StoreError, UsedSession};
 use super::shared_store::SharedStore;
 use super::write_order::{StoredObject, WriteOrder, first_generation};
 use super::writer::{StoreHealth, Writer};
 use crate::answers::Tenant;
 use crate::audit::audit_entry::AuditEntry;
+use crate::surroundings::Surroundings;
 use bytes::Bytes;
 use futures::future::BoxFuture;
 use pliant_asset::FileSet;
 use pliant_wire::record::{FileReferences, LoggedCommit};
-use sqlx::AnyPool;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Instant;
+use tokio::time::Instant;
 
 /// Sessions in a database, what is large as objects. What returns `Ok` from a write is on disk; what returns an error has changed nothing
 /// that is ever read again.
 #[derive(Debug)]
 pub struct Store {
     pub(super) build: String,
-    pub(super) pool: AnyPool,
-    pub(super) dialect: Dialect,
+    pub(super) tables: Arc<dyn SessionTables>,
     pub(super) objects: Arc<Objects>,
     /// How it is written; `None` where it is only read.
     pub(super) writing: Option<StoreWriting>,
@@ -35,6 +35,7 @@ pub struct Store {
     /// Held as long as the store: one process writes a folder.
     pub(super) _hold: Option<FolderHold>,
     pub(super) faults: Option<Arc<dyn StoreFaults>>,
+    pub(super) surroundings: Arc<dyn Surroundings>,
 }
 
 /// What writes a store.
@@ -60,6 +61,11 @@ impl Store {
             faults: Some(faults),
             ..self
         }
+    }
+
+    /// The machine that it is used on.
+    pub(crate) fn surroundings(&self) -> Arc<dyn Surroundings> {
+        Arc::clone(&self.surroundings)
     }
 
     pub(super) async fn pass_faults(&self) -> Result<(), StoreError> {
@@ -132,7 +138,7 @@ impl Store {
     /// Writes what waits and closes the database, so that its file is whole without the log beside it. Nothing can be read or written
     /// afterwards.
     pub async fn close(&self) {
-        self.pool.close().await;
+        self.tables.close().await;
         if let Some(writing) = &self.writing {
             writing.writer.finish().await;
             if let Some(shared) = &writing.shared {
@@ -144,7 +150,7 @@ impl Store {
     /// Records the sizes of objects that an older version wrote. A missing object has size 0; reading it is an error.
     pub(super) async fn measure_objects(&self) -> Result<(), StoreError> {
         let mut objects = Vec::new();
-        for name in self.unmeasured_objects().await? {
+        for name in self.tables.unmeasured_objects().await? {
             let bytes = self.objects.size(&name).await.unwrap_or_default();
             objects.push(StoredObject { name, bytes });
         }
@@ -161,7 +167,7 @@ impl Store {
     pub async fn remove_unused(&self, names: &[String]) -> Result<(), StoreError> {
         let _alone = self.objects.naming.write().await;
         for name in names {
-            if !is_used(name, &self.pool).await? {
+            if !self.tables.is_used(name, None).await? {
                 self.objects.remove(name).await?;
             }
         }
@@ -171,9 +177,9 @@ impl Store {
     async fn put_object(&self, bytes: Bytes) -> Result<String, StoreError> {
         let StoreWriting { health, shared, .. } = self.writing()?;
         health.note(health.check_places())?;
-        if shared.is_some() {
+        if let Some(shared) = shared {
             let name = self.objects.name(bytes.clone()).await?;
-            health.note(note_loose(&name, &self.pool).await)?;
+            health.note(shared.tables.note_loose(&name).await)?;
         }
         health.note(self.objects.put(bytes).await)
     }
@@ -317,7 +323,7 @@ impl Store {
         let gone = || StoreError::Damaged("a commit is gone".into());
         let mut commits = Vec::with_capacity(digests.len());
         for (sequence, digest) in digests {
-            let found = self.commit_with_record(&session.id, sequence).await?;
+            let found = self.tables.commit(&session.id, sequence).await?;
             let (mut commit, payload) = found.ok_or_else(gone)?;
             commit.digest = digest;
             build.clone_into(&mut commit.build);

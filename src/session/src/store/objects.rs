@@ -8,12 +8,11 @@
 //! names.
 //!
 //! A node writes a row for an object before it names it, removes the row in the transaction that names it, and writes
-//! one when it removes a name. An unused object whose row is older than [`GRACE`] is removed.
+//! one when it removes a name. An unused object whose row is an hour old is removed.
 
 use super::bucket::open_bucket;
 use super::location::{make_private_folder, sync_folder};
-use super::schema::{DATABASE_NOW, column, signed, unreadable};
-use super::session_store::{StoreError, millis};
+use super::session_store::StoreError;
 use bytes::Bytes;
 use futures::TryStreamExt as _;
 use glam::DVec3;
@@ -21,7 +20,6 @@ use object_store::local::LocalFileSystem;
 use object_store::path::Path as ObjectPath;
 use object_store::{ObjectStore, ObjectStoreExt as _, PutMode, PutOptions};
 use sha2::{Digest as _, Sha256};
-use sqlx::{AnyPool, AssertSqlSafe};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::io::Write as _;
@@ -44,7 +42,8 @@ pub(super) struct Objects {
     store: Arc<dyn ObjectStore>,
     /// Where they lie in a local folder: that is where they are written.
     folder: Option<Arc<ObjectFolder>>,
-    blocking: Semaphore,
+    /// How many may be hashed or written beside the tasks; `None` where the tasks do it themselves.
+    blocking: Option<Semaphore>,
     /// Held for reading from before an object is written until the row that names it is; for writing while objects without a name are
     /// removed.
     pub naming: RwLock<()>,
@@ -76,8 +75,16 @@ impl Objects {
         Self {
             store,
             folder: folder.map(Arc::new),
-            blocking: Semaphore::new(BLOCKING),
+            blocking: Some(Semaphore::new(BLOCKING)),
             naming: RwLock::new(()),
+        }
+    }
+
+    /// Objects of a simulation: nothing runs beside its tasks.
+    pub fn simulated(store: Arc<dyn ObjectStore>) -> Self {
+        Self {
+            blocking: None,
+            ..Self::of(store, None)
         }
     }
 
@@ -244,8 +251,9 @@ impl Objects {
         &self,
         work: impl FnOnce() -> Result<T, StoreError> + Send + 'static,
     ) -> Result<T, StoreError> {
+        let Some(blocking) = &self.blocking else { return work() };
         let ended = |_| StoreError::Unavailable("the store is going away".into());
-        let _place = self.blocking.acquire().await.map_err(|_| ended(()))?;
+        let _place = blocking.acquire().await.map_err(|_| ended(()))?;
         tokio::task::spawn_blocking(work).await.map_err(|_| ended(()))?
     }
 }
@@ -400,63 +408,8 @@ pub(crate) fn read_shape(bytes: &[u8]) -> Result<Vec<DVec3>, StoreError> {
     Ok(body.chunks_exact(24).map(vertex).collect())
 }
 
-/// How long an object without a name stays.
-pub(super) const GRACE: Duration = Duration::from_secs(3600);
 /// How long after it was announced an object may get its name.
 pub(super) const NAMED_WITHIN: Duration = Duration::from_secs(1200);
-/// Objects of one sweep.
-const MOST: i64 = 200;
-
-/// Notes an object that is about to be written and named, or that lost a name. Waits while a node removes it.
-pub(super) async fn note_loose(object: &str, on: impl sqlx::AnyExecutor<'_>) -> Result<(), StoreError> {
-    let note = format!(
-        "INSERT INTO loose_objects (object, since_ms) VALUES ($1, {DATABASE_NOW})
-        ON CONFLICT (object) DO UPDATE SET since_ms = {DATABASE_NOW}"
-    );
-    let done = sqlx::query(AssertSqlSafe(note)).bind(object).execute(on).await;
-    done.map(drop).map_err(unreadable)
-}
-
-/// Removes unused objects with a row older than [`GRACE`].
-pub(super) async fn remove_loose(pool: &AnyPool, objects: &Objects) -> Result<(), StoreError> {
-    let find =
-        format!("SELECT object FROM loose_objects WHERE since_ms < {DATABASE_NOW} - $1 ORDER BY since_ms LIMIT {MOST}");
-    let rows = sqlx::query(AssertSqlSafe(find))
-        .bind(signed(millis(GRACE)))
-        .fetch_all(pool)
-        .await;
-    for row in &rows.map_err(unreadable)? {
-        remove_one(pool, objects, &column::<String>(row, 0)?).await?;
-    }
-    Ok(())
-}
-
-/// Whether any session uses an object.
-pub(super) async fn is_used(object: &str, on: impl sqlx::AnyExecutor<'_>) -> Result<bool, StoreError> {
-    let query = sqlx::query("SELECT session FROM object_uses WHERE object = $1 LIMIT 1");
-    let found = query.bind(object).fetch_optional(on).await;
-    Ok(found.map_err(unreadable)?.is_some())
-}
-
-async fn remove_one(pool: &AnyPool, objects: &Objects, object: &str) -> Result<(), StoreError> {
-    let mut transaction = pool.begin().await.map_err(unreadable)?;
-    // A call that announces it again waits until it is gone, and writes it then.
-    let lock = format!(
-        "SELECT object FROM loose_objects WHERE object = $1 AND since_ms < {DATABASE_NOW} - $2 FOR UPDATE SKIP LOCKED"
-    );
-    let locked = sqlx::query(AssertSqlSafe(lock))
-        .bind(object)
-        .bind(signed(millis(GRACE)));
-    if (locked.fetch_optional(&mut *transaction).await.map_err(unreadable)?).is_none() {
-        return Ok(());
-    }
-    if !is_used(object, &mut *transaction).await? {
-        objects.remove(object).await?;
-    }
-    let delete = sqlx::query("DELETE FROM loose_objects WHERE object = $1").bind(object);
-    delete.execute(&mut *transaction).await.map_err(unreadable)?;
-    transaction.commit().await.map_err(unreadable)
-}
 
 #[cfg(test)]
 mod tests {

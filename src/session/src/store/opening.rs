@@ -2,6 +2,7 @@
 
 use super::build_identity;
 use super::connection::{DatabaseAddress, SharingNode, WritingConnection, release_exclusive, take_exclusive};
+use super::database::SessionTables;
 use super::database_store::{Store, StoreWriting};
 use super::location::{
     DATABASE_FILE, FolderHold, StoreLocation, existing_database, make_private_file, refuse_objects_alone,
@@ -11,9 +12,13 @@ use super::objects::Objects;
 use super::schema::{Dialect, TABLES, any_object, identity, migrate, version};
 use super::session_store::{NodeIdentity, NodeLoad, StoreError};
 use super::shared_store::SharedStore;
+use super::sql_nodes::SqlNodes;
+use super::sql_reading::SqlTables;
+use super::transaction::SqlWriter;
 use super::write_order::WriteOrder;
 use super::writer::{StoreHealth, Writer};
-use sqlx::{AnyConnection, AnyPool};
+use crate::surroundings::RealSurroundings;
+use sqlx::AnyConnection;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicI64;
 use std::sync::{Arc, Weak};
@@ -86,12 +91,21 @@ impl Store {
         };
         let health = Arc::new(StoreHealth::of_places(places(location))?);
         let writing = StoreWriting {
-            writer: Arc::new(Writer::start(writing, Arc::clone(&health), newest)),
+            writer: Arc::new(Writer::start(
+                Box::new(SqlWriter {
+                    connection: writing,
+                    newest,
+                }),
+                Arc::clone(&health),
+            )),
             health,
             shared: None,
         };
-        let pool = address.readers().await?;
-        Self::looked_after(location, writing, pool, Arc::new(objects), hold).await
+        let tables = SqlTables {
+            pool: address.readers().await?,
+            dialect: address.dialect(),
+        };
+        Self::looked_after(location, writing, Arc::new(tables), Arc::new(objects), hold).await
     }
 
     /// Opens a store for one of several nodes.
@@ -116,31 +130,44 @@ impl Store {
         drop(open_lock);
         let id = random.map(|byte| format!("{byte:02x}")).concat();
         let health = Arc::new(StoreHealth::of_places([])?);
+        let pool = address.readers().await?;
         let shared = SharedStore {
             node: node.clone(),
             id,
-            heartbeat: address.heartbeat_pool().await?,
+            tables: Arc::new(SqlNodes {
+                heartbeat: address.heartbeat_pool().await?,
+                pool: pool.clone(),
+            }),
             lapses: AtomicI64::new(0),
-            pool: address.readers().await?,
-            writer: Arc::new(Writer::start(writing, Arc::clone(&health), None)),
+            writer: Arc::new(Writer::start(
+                Box::new(SqlWriter {
+                    connection: writing,
+                    newest: None,
+                }),
+                Arc::clone(&health),
+            )),
             objects: Arc::new(objects),
             health,
         };
         shared.beat(NodeLoad::default()).await?;
-        let (pool, objects) = (shared.pool.clone(), Arc::clone(&shared.objects));
+        let tables = SqlTables {
+            pool,
+            dialect: address.dialect(),
+        };
+        let objects = Arc::clone(&shared.objects);
         let writing = StoreWriting {
             writer: Arc::clone(&shared.writer),
             health: Arc::clone(&shared.health),
             shared: Some(shared),
         };
-        Self::looked_after(location, writing, pool, objects, None).await
+        Self::looked_after(location, writing, Arc::new(tables), objects, None).await
     }
 
     /// The store, looked after for as long as it is open.
     async fn looked_after(
         location: &StoreLocation,
         writing: StoreWriting,
-        pool: AnyPool,
+        tables: Arc<dyn SessionTables>,
         objects: Arc<Objects>,
         hold: Option<FolderHold>,
     ) -> Result<Self, StoreError> {
@@ -148,17 +175,14 @@ impl Store {
         tokio::spawn(watch_store(Arc::clone(&writing.health), writer, shelves));
         let store = Self {
             build: location.build.clone().unwrap_or_else(build_identity),
-            pool,
-            dialect: match location.database {
-                Some(_) => Dialect::Postgres,
-                None => Dialect::Sqlite,
-            },
+            tables,
             objects,
             writing: Some(writing),
             is_written: false,
             folder: location.data_dir.clone().filter(|_| location.database.is_none()),
             _hold: hold,
             faults: None,
+            surroundings: Arc::new(RealSurroundings),
         };
         store.measure_objects().await?;
         Ok(store)

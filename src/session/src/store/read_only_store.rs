@@ -5,14 +5,15 @@ use super::build_identity;
 use super::connection::{DatabaseAddress, WritingConnection};
 use super::database_store::Store;
 use super::location::{FolderHold, StoreLocation, existing_database, make_private_file};
-use super::newest_write::find_lost_writes;
 use super::objects::Objects;
 use super::schema::{
     Dialect, TABLES, column, known_identity, known_version, migrate, signed, unreadable, unsigned, version,
 };
 use super::session_store::StoreError;
+use super::sql_reading::SqlTables;
 use crate::answers::Tenant;
 use crate::audit::audit_entry::StoredAuditEntry;
+use crate::surroundings::RealSurroundings;
 use futures::TryStreamExt as _;
 use pliant_wire::record::LoggedCommit;
 use sqlx::AnyPool;
@@ -184,14 +185,17 @@ impl Store {
         }
         Ok(Self {
             build: location.build.clone().unwrap_or_else(build_identity),
-            pool: database.pool,
-            dialect: database.dialect,
+            tables: Arc::new(SqlTables {
+                pool: database.pool,
+                dialect: database.dialect,
+            }),
             objects: Arc::new(objects),
             writing: None,
             is_written: database.is_written,
             folder: location.data_dir.clone().filter(|_| location.database.is_none()),
             _hold: database.hold,
             faults: None,
+            surroundings: Arc::new(RealSurroundings),
         })
     }
 
@@ -216,7 +220,7 @@ impl Store {
             object_bytes: 0,
         };
         for name in names {
-            if !self.uses(id, &name).await? {
+            if !self.tables.is_used(&name, Some(id)).await? {
                 let text = format!("object {name} is the session's, and is not noted as used");
                 return Err(StoreError::Damaged(text));
             }
@@ -230,14 +234,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Damaged`] with what it finds.
     pub async fn check_database(&self) -> Result<(), StoreError> {
-        self.check_integrity().await?;
-        let Some(folder) = &self.folder else { return Ok(()) };
-        let failed = |e: sqlx::Error| StoreError::Unavailable(e.to_string());
-        let mut connection = self.pool.acquire().await.map_err(failed)?;
-        match find_lost_writes(folder, &mut connection).await? {
-            Some(lost) => Err(StoreError::Damaged(lost)),
-            None => Ok(()),
-        }
+        self.tables.check_integrity(self.folder.as_deref()).await
     }
 }
 

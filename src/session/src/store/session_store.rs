@@ -69,7 +69,7 @@ pub struct Generation(pub u64);
 
 /// A session that this node has.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct HeldSession {
+pub struct HeldSession {
     /// Its id.
     pub id: String,
     /// The ownership.
@@ -108,7 +108,7 @@ pub struct NodeLoad {
 
 /// Whose a session is.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) enum SessionClaim {
+pub enum SessionClaim {
     /// This node's, from now on.
     Here(Generation),
     /// Another node's; with `is_leaving` it is about to be given back.
@@ -124,7 +124,7 @@ pub(crate) enum SessionClaim {
 
 /// An idempotency key whose answer is a commit's.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct LoggedKey {
+pub struct LoggedKey {
     /// Whose key it is.
     pub tenant: Tenant,
     /// The key.
@@ -141,7 +141,7 @@ pub(crate) struct LoggedKey {
 
 /// Which session it is, whose, and for how long.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct SessionRecord {
+pub struct SessionRecord {
     /// Its id.
     pub id: String,
     /// Whose it is.
@@ -158,7 +158,7 @@ pub(crate) struct SessionRecord {
 
 /// A session to be kept, with its first commit.
 #[derive(Debug, Clone)]
-pub(crate) struct NewSession {
+pub struct NewSession {
     /// Which session it is.
     pub record: SessionRecord,
     /// How its model was opened; the store fills in the names of the files.
@@ -171,7 +171,7 @@ pub(crate) struct NewSession {
 
 /// A commit of a session.
 #[derive(Debug, Clone)]
-pub(crate) struct Commit {
+pub struct Commit {
     /// Commits of a session are numbered from 0, undo and redo among them.
     pub sequence: u64,
     /// The session's revision after it.
@@ -190,7 +190,7 @@ pub(crate) struct Commit {
 
 /// A commit to be stored.
 #[derive(Debug, Clone)]
-pub(crate) struct NewCommit {
+pub struct NewCommit {
     /// Its session, with the current ownership.
     pub session: HeldSession,
     /// The commit; the store fills in the names of the files.
@@ -205,7 +205,7 @@ pub(crate) struct NewCommit {
 
 /// The newest shape that is kept of a session.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct StoredSnapshot {
+pub struct StoredSnapshot {
     /// The shape is the one after this commit.
     pub sequence: u64,
     /// The object that holds it.
@@ -214,7 +214,7 @@ pub(crate) struct StoredSnapshot {
 
 /// A session that was kept.
 #[derive(Debug, Clone)]
-pub(crate) struct StoredSession {
+pub struct StoredSession {
     /// Which session it is.
     pub record: SessionRecord,
     /// Its last use, in milliseconds since 1970.
@@ -229,7 +229,7 @@ pub(crate) struct StoredSession {
 
 /// A session as a list shows it.
 #[derive(Debug, Clone)]
-pub(crate) struct ListedSession {
+pub struct ListedSession {
     /// Which session it is.
     pub record: SessionRecord,
     /// As in [`StoredSession`].
@@ -261,7 +261,7 @@ pub struct StoredFacts {
 
 /// When a session was used last.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct UsedSession {
+pub struct UsedSession {
     /// The session.
     pub session: HeldSession,
     /// In milliseconds since 1970.
@@ -276,11 +276,6 @@ pub fn now_ms() -> u64 {
 /// The whole milliseconds of a time.
 pub(crate) fn millis(time: Duration) -> u64 {
     u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
-}
-
-/// When something was used so long ago, in milliseconds since 1970.
-pub(crate) fn ms_ago(ago: Duration) -> u64 {
-    now_ms().saturating_sub(millis(ago))
 }
 
 /// Milliseconds since 1970 on the calendar (RFC 3339, UTC).

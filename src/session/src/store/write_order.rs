@@ -7,53 +7,88 @@ use super::session_store::{
 use crate::answers::Tenant;
 use crate::audit::audit_entry::AuditEntry;
 use sqlx::AnyConnection;
+use std::collections::BTreeMap;
 
 /// An object that a session uses.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct StoredObject {
+pub struct StoredObject {
+    /// Its name.
     pub name: String,
+    /// Its size.
     pub bytes: u64,
 }
 
 /// Something to be written.
-#[derive(Debug)]
-pub(super) enum WriteOrder {
-    /// A session with its first commit; `model` is its record, `objects` are what it uses.
+#[derive(Debug, Clone)]
+pub enum WriteOrder {
+    /// A session with its first commit.
     Create {
+        /// The session.
         session: Box<NewSession>,
+        /// Its record.
         model: Vec<u8>,
+        /// What it uses.
         objects: Vec<StoredObject>,
         /// The node that has it, of several; empty for a single node.
         owner: String,
     },
     /// A commit.
     Append {
+        /// The commit.
         commit: Box<NewCommit>,
+        /// What it uses.
         objects: Vec<StoredObject>,
     },
     /// The newest shape of a session.
     SaveSnapshot {
+        /// The session, under the ownership of its writer.
         session: HeldSession,
+        /// The shape is the one after this commit.
         sequence: u64,
+        /// The shape.
         shape: StoredObject,
     },
     /// Commits with digests of another build, and the checksums of their rows.
     RerecordDigests {
+        /// The session, under the ownership of its writer.
         session: HeldSession,
+        /// The commits, each with its checksum.
         commits: Vec<(Commit, Vec<u8>)>,
     },
     /// A session ends.
-    Delete { audit: AuditEntry, generation: Generation },
+    Delete {
+        /// Which one, and who ends it.
+        audit: AuditEntry,
+        /// The ownership of its writer; 0 where one process has the store.
+        generation: Generation,
+    },
     /// Sessions were used.
-    NoteUse { sessions: Vec<UsedSession> },
+    NoteUse {
+        /// When each was used.
+        sessions: Vec<UsedSession>,
+    },
     /// Keys from before this time go.
-    ForgetKeys { before_ms: u64 },
+    ForgetKeys {
+        /// In milliseconds since 1970.
+        before_ms: u64,
+    },
     /// Who did what.
-    Audit { entry: AuditEntry },
+    Audit {
+        /// The entry.
+        entry: AuditEntry,
+    },
     /// What the audit trail says of before this time goes, of one tenant where it is named.
-    ForgetAudit { tenant: Option<Tenant>, before_ms: u64 },
+    ForgetAudit {
+        /// Whose; everybody's where it is `None`.
+        tenant: Option<Tenant>,
+        /// In milliseconds since 1970.
+        before_ms: u64,
+    },
     /// The sizes of objects that an older version wrote.
-    Measure { objects: Vec<StoredObject> },
+    Measure {
+        /// With their sizes.
+        objects: Vec<StoredObject>,
+    },
     /// Nothing but what was left undone.
     UndoUncertain,
     /// A row is written as it is, to see whether rows can be written.
@@ -75,7 +110,7 @@ async fn objects_of(statement: Statement<'_>, on: &mut AnyConnection) -> Result<
 
 impl WriteOrder {
     /// The commit that may be on disk though it was refused. With 0 it is the session.
-    pub fn uncertain_commit(&self) -> Option<UncertainCommit> {
+    pub(super) fn uncertain_commit(&self) -> Option<UncertainCommit> {
         let (session, sequence) = match self {
             Self::Create { session, .. } => (session.first.session.clone(), 0),
             Self::Append { commit, .. } => (commit.session.clone(), commit.commit.sequence),
@@ -85,7 +120,7 @@ impl WriteOrder {
     }
 
     /// Writes it. Returns objects that may have no name any more.
-    pub async fn carry_out(&self, on: &mut AnyConnection) -> Result<Vec<String>, StoreError> {
+    pub(super) async fn carry_out(&self, on: &mut AnyConnection) -> Result<Vec<String>, StoreError> {
         match self {
             Self::Create {
                 session,
@@ -156,10 +191,15 @@ impl WriteOrder {
     }
 }
 
+/// Commits that were refused and may be on disk, the first one of each session by its id.
+pub type UncertainCommits = BTreeMap<String, UncertainCommit>;
+
 /// A commit that was refused and may have been written all the same.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct UncertainCommit {
+pub struct UncertainCommit {
+    /// Its session, under the ownership of then.
     pub session: HeldSession,
+    /// Its number; 0 is the creation of the session.
     pub sequence: u64,
 }
 

@@ -7,18 +7,13 @@
 //! After a failed write the store counts as unable to take writes until a small one works. The task also checks that
 //! the files are those that were opened: a folder that was moved away still takes writes, which are then lost.
 
-use super::connection::WritingConnection;
-use super::newest_write::{NewestWrite, number_transaction};
-use super::objects::note_loose;
+use super::database::{TransactionWriter, WriteFailure, Written};
 use super::session_store::StoreError;
-use super::write_order::{UncertainCommit, WriteOrder, undo_uncertain};
-use sqlx::{AnyConnection, Connection as _};
-use std::collections::BTreeMap;
+use super::write_order::{UncertainCommits, WriteOrder};
 use std::io;
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
 use tokio::sync::{mpsc, oneshot};
 use tokio_util::sync::{CancellationToken, DropGuard};
 
@@ -108,13 +103,6 @@ impl StoreHealth {
 const QUEUE: usize = 256;
 /// Orders of one transaction.
 const GROUP: usize = 64;
-/// Longest transaction. A disk that takes longer does not answer.
-const PATIENCE: Duration = Duration::from_secs(10);
-
-type Written = Result<Vec<String>, StoreError>;
-/// Commits that were refused and may be on disk, the first one of each session.
-type UncertainCommits = BTreeMap<String, UncertainCommit>;
-
 #[derive(Debug)]
 struct WaitingOrder {
     order: WriteOrder,
@@ -133,18 +121,15 @@ pub(super) struct Writer {
 }
 
 impl Writer {
-    /// Starts the task. It writes while the places of the store are there, and notes what fails, and in `newest` what does not.
-    pub fn start(connection: WritingConnection, health: Arc<StoreHealth>, newest: Option<NewestWrite>) -> Self {
-        let is_shared = connection.is_shared();
+    /// Starts the task. It writes while the places of the store are there, and notes what fails.
+    pub fn start(transactions: Box<dyn TransactionWriter>, health: Arc<StoreHealth>) -> Self {
         let (orders, waiting) = mpsc::channel(QUEUE);
         let uncertain = Arc::default();
         let task = WritingTask {
-            connection,
+            transactions,
             health,
-            newest,
             waiting,
             uncertain: Arc::clone(&uncertain),
-            is_shared,
         };
         let (closing, closed) = (CancellationToken::new(), CancellationToken::new());
         tokio::spawn(task.run(closing.clone(), closed.clone().drop_guard()));
@@ -192,14 +177,10 @@ impl Writer {
 }
 
 struct WritingTask {
-    connection: WritingConnection,
+    transactions: Box<dyn TransactionWriter>,
     health: Arc<StoreHealth>,
-    /// How far a file has been written.
-    newest: Option<NewestWrite>,
     waiting: mpsc::Receiver<WaitingOrder>,
     uncertain: Arc<Mutex<UncertainCommits>>,
-    /// Whether other nodes write too.
-    is_shared: bool,
 }
 
 fn uncertain_commits(uncertain: &Mutex<UncertainCommits>) -> MutexGuard<'_, UncertainCommits> {
@@ -223,7 +204,7 @@ impl WritingTask {
             }
             self.carry_out_group(group).await;
         }
-        self.connection.finish().await;
+        self.transactions.finish().await;
     }
 
     async fn carry_out_group(&mut self, group: Vec<WaitingOrder>) {
@@ -235,12 +216,12 @@ impl WritingTask {
                 }
             }
             // One of them may be at fault: each for itself.
-            Err(Failure::Transaction(_)) if group.len() > 1 => {
+            Err(WriteFailure::Transaction(_)) if group.len() > 1 => {
                 self.note_uncertain(&group);
                 self.carry_out_each(group).await;
             }
             Err(failure) => {
-                if let Failure::Transaction(_) = failure {
+                if let WriteFailure::Transaction(_) = failure {
                     self.note_uncertain(&group);
                 }
                 refuse_all(group, &failure);
@@ -255,12 +236,12 @@ impl WritingTask {
                 Ok(mut answers) => {
                     let _ = next.done.send(answers.pop().unwrap_or_else(|| Ok(Vec::new())));
                 }
-                Err(failure @ Failure::Transaction(_)) => {
+                Err(failure @ WriteFailure::Transaction(_)) => {
                     self.note_uncertain(std::slice::from_ref(&next));
                     refuse_all([next], &failure);
                 }
                 // The others would only wait for it too.
-                Err(failure @ Failure::NoConnection(_)) => {
+                Err(failure @ WriteFailure::NoConnection(_)) => {
                     refuse_all(std::iter::once(next).chain(waiting.by_ref()), &failure);
                 }
             }
@@ -280,85 +261,29 @@ impl WritingTask {
         }
     }
 
-    async fn carry_out(&mut self, orders: &[&WriteOrder]) -> Result<Vec<Written>, Failure> {
+    async fn carry_out(&mut self, orders: &[&WriteOrder]) -> Result<Vec<Written>, WriteFailure> {
         let uncertain = uncertain_commits(&self.uncertain).clone();
         self.health
             .note(self.health.check_places())
-            .map_err(Failure::NoConnection)?;
-        let connection = self.connection.get().await.map_err(StoreError::from);
-        let connection = self.health.note(connection).map_err(Failure::NoConnection)?;
-        let number = self.newest.as_ref().map(NewestWrite::next);
-        let transaction = write_together(connection, &uncertain, number, orders, self.is_shared);
-        let written = match tokio::time::timeout(PATIENCE, transaction).await {
-            Ok(written) => written,
-            Err(_) => Err(StoreError::Unavailable(format!("it took longer than {PATIENCE:?}"))),
-        };
-        match written {
+            .map_err(WriteFailure::NoConnection)?;
+        match self.transactions.write(&uncertain, orders).await {
             Ok(answers) => {
                 // This task alone adds to them.
                 uncertain_commits(&self.uncertain).clear();
-                if let (Some(newest), Some(number)) = (&mut self.newest, number) {
-                    newest.note(number);
-                }
                 Ok(answers)
             }
-            Err(error) => {
-                self.connection.give_up().await;
-                self.health.note(Err(error)).map_err(Failure::Transaction)
+            Err(WriteFailure::NoConnection(error)) => self.health.note(Err(error)).map_err(WriteFailure::NoConnection),
+            Err(WriteFailure::Transaction(error)) => {
+                self.transactions.give_up().await;
+                self.health.note(Err(error)).map_err(WriteFailure::Transaction)
             }
         }
     }
 }
 
-/// Why orders were not carried out.
-#[derive(Debug)]
-enum Failure {
-    /// Nothing was begun.
-    NoConnection(StoreError),
-    /// What was begun may be on disk or not.
-    Transaction(StoreError),
-}
-
-fn refuse_all(orders: impl IntoIterator<Item = WaitingOrder>, failure: &Failure) {
-    let (Failure::NoConnection(error) | Failure::Transaction(error)) = failure;
+fn refuse_all(orders: impl IntoIterator<Item = WaitingOrder>, failure: &WriteFailure) {
+    let (WriteFailure::NoConnection(error) | WriteFailure::Transaction(error)) = failure;
     for waiting in orders {
         let _ = waiting.done.send(Err(error.clone()));
     }
-}
-
-/// Writes orders in one transaction, after what is to be removed, and its number.
-async fn write_together(
-    connection: &mut AnyConnection,
-    uncertain: &UncertainCommits,
-    number: Option<u32>,
-    orders: &[&WriteOrder],
-    is_shared: bool,
-) -> Result<Vec<Written>, StoreError> {
-    let failed = |e: sqlx::Error| StoreError::Unavailable(e.to_string());
-    let mut transaction = connection.begin().await.map_err(failed)?;
-    for doubt in uncertain.values() {
-        undo_uncertain(doubt, &mut transaction).await?;
-    }
-    let mut answers = Vec::with_capacity(orders.len());
-    for order in orders {
-        answers.push(match order.carry_out(&mut transaction).await {
-            Ok(mut unnamed) => {
-                // Another node may be about to name them again: they go when no node has for long.
-                if is_shared {
-                    for object in std::mem::take(&mut unnamed) {
-                        note_loose(&object, &mut *transaction).await?;
-                    }
-                }
-                Ok(unnamed)
-            }
-            // Those have written nothing, and are no reason to take back what others have.
-            Err(error @ (StoreError::Moved | StoreError::Repeated)) => Err(error),
-            Err(error) => return Err(error),
-        });
-    }
-    if let Some(number) = number {
-        number_transaction(&mut transaction, number).await?;
-    }
-    transaction.commit().await.map_err(failed)?;
-    Ok(answers)
 }

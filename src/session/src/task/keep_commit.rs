@@ -12,6 +12,7 @@ use crate::calls::model_opening::announce_stored;
 use crate::calls::shared_keys::claim_everywhere;
 use crate::error::{Error, ErrorCode};
 use crate::history::session_state::{EditedState, PosedState};
+use crate::keeping::heartbeat::refuse_stale_state;
 use crate::keeping::replay::{OTHER_BUILD, check_digest};
 use crate::store::{Commit, NewCommit, StoreError, write_shape};
 use crate::task::session_task::SessionTask;
@@ -264,6 +265,7 @@ impl SessionTask {
     /// # Errors
     /// `INVALID_ARGUMENT` for a key that was used with other handles.
     pub async fn claim_stream_commit(&mut self, key: &PoseKey) -> Result<ClaimOutcome<StoredAnswer>, Error> {
+        refuse_stale_state(&self.shared)?;
         let parts = [self.session.id.as_bytes(), key.request.as_slice()];
         let fingerprint = RequestFingerprint::of("stream_commit", &parts);
         claim_everywhere(&self.shared, &self.session.tenant, &key.key, fingerprint).await

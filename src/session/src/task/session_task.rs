@@ -20,7 +20,6 @@ use crate::keeping::kept_session::{KeptSession, MemoryState};
 use crate::quota::tenant_account::TenantSession;
 use crate::registry::{OpenSession, SessionView};
 use crate::shared::SharedResources;
-use crate::store::ms_ago;
 use crate::stream::mailbox::Mailbox;
 use crate::stream::waiting_poses::WaitingPose;
 use crate::task::adopted_parts::AdoptedParts;
@@ -84,6 +83,7 @@ impl SessionTask {
             }
             let evict = self.next_eviction();
             tokio::select! {
+                biased;
                 () = session.closing.cancelled() => {}
                 Some(command) = self.commands.recv() => {
                     session.busy.store(true, SeqCst);
@@ -419,7 +419,7 @@ impl SessionTask {
         let Some(ownership) = self.kept.as_ref().and_then(|kept| kept.store.ownership()) else {
             return;
         };
-        let used_ms = ms_ago(self.session.lease.last_use().elapsed());
+        let used_ms = self.shared.surroundings.ms_ago(self.session.lease.last_use().elapsed());
         if let Err(error) = ownership.release(&self.session.held, used_ms).await {
             tracing::warn!(session.id = %self.session.id, "the session stays this node's: {error}");
         }
