@@ -16,7 +16,7 @@ use pliant::progress::Silent;
 const LIFT: f64 = 0.02;
 
 /// A shape and what it took.
-struct CommittedPose {
+struct MeasuredCommit {
     positions: Vec<DVec3>,
     /// Pairs that cross and do not in the rest pose, not held wholly,
     pairs: u64,
@@ -91,7 +91,7 @@ impl<'a> ContactStage<'a> {
         self.deformer
     }
 
-    fn commit(&mut self, degrees: f64, contact: Contact) -> Result<CommittedPose, LoadtestFailure> {
+    fn commit(&mut self, degrees: f64, contact: Contact) -> Result<MeasuredCommit, LoadtestFailure> {
         let exec = Exec::new(self.pool, &Silent);
         let settings = SolveSettings {
             contact,
@@ -107,7 +107,7 @@ impl<'a> ContactStage<'a> {
         let positions: Vec<DVec3> = (0..mesh.positions.len() as u32)
             .map(|v| shape.positions[mesh.render_vertices_of(v)[0] as usize])
             .collect();
-        Ok(CommittedPose {
+        Ok(MeasuredCommit {
             pairs: found.new,
             held: found.held,
             strain: strain(mesh, &positions),

@@ -65,9 +65,9 @@ impl ContactRegion {
             }
         }
         let around: Vec<Vec<u32>> = around.into_iter().map(sorted_set).collect();
-        // Around a vertex inside of a surface there are as many faces as neighbours.
+        // Around a vertex inside of a surface there are as many faces as neighbours, and more where three meet at an edge.
         let mut inner = nodes[..free].iter().zip(&around);
-        let has_border = inner.any(|(v, own)| faces_of.of(*v).len() != own.len());
+        let has_border = inner.any(|(v, own)| faces_of.of(*v).len() < own.len());
         let degrees = around.iter().map(|own| own.len() as f64).collect();
         let inside = |own: Vec<u32>| {
             own.into_iter()
