@@ -158,7 +158,7 @@ fn totals_of_limbs(all: &[ContactOutcome]) -> Option<(String, bool)> {
         100.0 * MUST,
         time_text(all),
     );
-    (!all.is_empty()).then(|| (text, good as f64 >= MUST * all.len() as f64))
+    (!all.is_empty()).then_some((text, good as f64 >= MUST * all.len() as f64))
 }
 
 /// The same of folded shapes.

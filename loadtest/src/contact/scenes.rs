@@ -298,8 +298,11 @@ mod tests {
         for limb in &limbs[..2] {
             let z = limb.pivot.z;
             assert!((1.5..2.5).contains(&z) || (5.5..6.5).contains(&z), "{z}");
-            let is_beyond = |v: &u32| (bar.positions[*v as usize].z - z) * (z - 4.0) > 0.0;
-            assert!(limb.turned.iter().all(is_beyond) && !limb.held.iter().any(is_beyond));
+            let height =
+                |some: &[u32]| some.iter().map(|v| bar.positions[*v as usize].z).sum::<f64>() / some.len() as f64;
+            let [turned, held] = [&limb.turned, &limb.held].map(|some| (height(some) - z) * (z - 4.0));
+            assert!(turned > 0.0 && held < 0.0, "{turned}, {held}");
+            assert!(limb.turned.iter().all(|v| !limb.held.contains(v)));
             assert!(limb.axis.z.abs() < 0.2 && limb.axis.is_normalized(), "{}", limb.axis);
         }
     }
