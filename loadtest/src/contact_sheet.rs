@@ -111,7 +111,8 @@ pub(crate) fn run_sheet(args: &SheetArgs) -> Result<(), LoadtestFailure> {
     Ok(())
 }
 
-fn models_under(folder: &Path, found: &mut Vec<PathBuf>) -> Result<(), LoadtestFailure> {
+/// The models in a folder and those in it, in the order of their names.
+pub(crate) fn models_under(folder: &Path, found: &mut Vec<PathBuf>) -> Result<(), LoadtestFailure> {
     let refuse = |e: std::io::Error| LoadtestFailure::Usage(format!("cannot list {}: {e}", folder.display()));
     let mut entries = Vec::new();
     for entry in fs::read_dir(folder).map_err(refuse)? {

@@ -4,12 +4,13 @@
 //! every pose that was sent must come back as a final frame, as an error, or in the `superseded` of a frame ([`load`]).
 //! `commits` measures what it costs that commits outlive the server ([`commits`]).
 //! `export-system` and `solver` measure the solver alone ([`solver`]), `pipeline` and `edits` measure everything up to a
-//! frame ([`pipeline`]). `motion` measures what animations are to show ([`motion`]). `sheet` and `figures` draw what deforming does to models
-//! ([`contact_sheet`], [`paper_figures`]).
+//! frame ([`pipeline`]). `contact` measures poses in which surfaces cross ([`contact`]), `motion` what animations are to show
+//! ([`motion`]). `sheet` and `figures` draw what deforming does to models ([`contact_sheet`], [`paper_figures`]).
 //!
 //! Exit codes: 0 the ledger balances, 1 it does not or the server or solver failed, 2 usage.
 
 mod commits;
+mod contact;
 mod contact_sheet;
 mod failure;
 mod load;
@@ -56,6 +57,8 @@ enum LoadtestCommand {
     Wire(pipeline::wire::WireArgs),
     /// Edit a region of a model and time everything up to the next frame, repaired and rebuilt
     Edits(pipeline::edits::EditsArgs),
+    /// Commit poses in which surfaces cross, without and with contact avoided
+    Contact(contact::ContactArgs),
     /// Measure clips on models, row by row, against their targets
     Motion(motion::MotionArgs),
     /// Deform every model of a folder and draw them in one picture
@@ -77,6 +80,7 @@ fn main() -> ExitCode {
         LoadtestCommand::Frame(args) => pipeline::frame::run_frame(args),
         LoadtestCommand::Wire(args) => pipeline::wire::run_wire(args),
         LoadtestCommand::Edits(args) => pipeline::edits::run_edits(args),
+        LoadtestCommand::Contact(args) => contact::run_contact(args),
         LoadtestCommand::Motion(args) => motion::run_motion(args),
         LoadtestCommand::Sheet(args) => contact_sheet::run_sheet(args),
         LoadtestCommand::Figures(args) => paper_figures::run_figures(args),

@@ -89,8 +89,8 @@ pub(super) struct ContactFinder<'a> {
     pub layers: &'a LayerSides,
     pub style: PartingStyle,
     pub clearance: f64,
-    /// Whether surfaces that were nearer than the clearance in the rest pose may be that near.
-    pub keeps_rest_gaps: bool,
+    /// Whether a pose is parted, in which surfaces may be as near as in the rest pose, and that shape itself is not.
+    pub is_posed: bool,
     /// Normals of the shape that is to be parted, by vertex.
     pub normals: Vec<DVec3>,
     pub knowledge: Knowledge,
@@ -279,7 +279,7 @@ impl ContactFinder<'_> {
 
     /// How far two sides are to be from each other: layers as far as in the rest pose, up to the clearance.
     fn least(&self, nodes: &[(u32, f64); 6]) -> f64 {
-        if !self.keeps_rest_gaps {
+        if !self.is_posed {
             return self.clearance;
         }
         let other = nodes

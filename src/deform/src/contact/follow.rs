@@ -9,13 +9,16 @@ use super::displace::DisplacementProblem;
 use super::find::Condition;
 use super::nearness::NearSearch;
 use super::pose_path::PosePath;
-use super::{CONTOUR_STYLE, ContactFaults, ContactSurface, Knowledge, MOST_PARTED, Parting, displaced};
+use super::{
+    CONTOUR_STYLE, ContactFaults, ContactSurface, Knowledge, MOST_PARTED, PartedShape, Parting, RestCrossings,
+    displaced,
+};
 use glam::DVec3;
 use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
 
 /// Parts of the pose that are solved, the last first, until one of them does not cross.
-const PARTS: [f64; 5] = [0.8, 0.6, 0.4, 0.2, 0.0];
+const PARTS: [f64; 3] = [0.7, 0.4, 0.0];
 /// The first step, of the way between two of them,
 const FIRST_STEP: f64 = 0.25;
 /// and the smallest.
@@ -30,6 +33,16 @@ const CHOICES: usize = 2;
 const RATE: f64 = 0.7;
 /// Steps that stay in the last shape, so that what the way has left goes.
 const LAST_STEPS: usize = 2;
+/// What part of what they lack to their rest lengths edges are given back in a step,
+const LENGTHS: f64 = 0.5;
+/// and in one that stays in the last shape.
+const LAST_LENGTHS: f64 = 1.0;
+/// A shape without crossings is relaxed where edges are further from their rest lengths than so many times as far as before,
+const STRAINED: f64 = 1.05;
+/// so often at most,
+const RELAXED: usize = 3;
+/// each time by the first of these parts of a step after which nothing crosses.
+const RELAXED_BY: [f64; 3] = [1.0, 0.5, 0.25];
 
 /// A shape on the way, with its displacement.
 #[derive(Clone)]
@@ -93,7 +106,7 @@ impl Parting<'_> {
             while done < 1.0 {
                 let next = f64::min(done + step, 1.0);
                 let base: Vec<DVec3> = pair[0].iter().zip(&pair[1]).map(|(a, b)| a.lerp(*b, next)).collect();
-                let Some(there) = self.step(&now, &base, conditions.clone(), exec)? else {
+                let Some(there) = self.step(&now, &base, conditions.clone(), LENGTHS, exec)? else {
                     return Ok(None);
                 };
                 if there.crossings > now.crossings && step > LEAST_STEP {
@@ -112,7 +125,7 @@ impl Parting<'_> {
             let Some(conditions) = search.conditions(&now.at, WIDE * self.clearance, exec)? else {
                 return Ok(None);
             };
-            match self.step(&now, end, conditions, exec)? {
+            match self.step(&now, end, conditions, LAST_LENGTHS, exec)? {
                 Some(there) if there.crossings <= now.crossings => now = there,
                 _ => break,
             }
@@ -120,18 +133,64 @@ impl Parting<'_> {
         Ok(Some(now.at))
     }
 
-    /// Goes to the shape beside `base` in which conditions hold. `None` where nearly all faces overlap.
+    /// Takes back of the `best` shape, in which nothing crosses, what its edges do not need.
+    pub(super) fn relax(&self, best: &mut PartedShape, exec: &Exec<'_>) -> Result<(), Cancelled> {
+        let search = NearSearch::new(self.surface.mesh, &self.region, self.surface.layers);
+        // Vertices around the region stay where they are in the best shape.
+        let (mut base, mut moved) = (best.at.clone(), Vec::new());
+        for v in self.region.nodes[..self.region.free].iter().map(|v| *v as usize) {
+            base[v] = self.base[v];
+            moved.push(best.at[v] - base[v]);
+        }
+        for _ in 0..RELAXED {
+            let is_posed = self.surface.at_rest == RestCrossings::Stay;
+            if !is_posed || best.faults > 0 || best.strain <= STRAINED * self.before.strain {
+                break;
+            }
+            let Some(conditions) = search.conditions(&best.at, self.clearance, exec)? else {
+                break;
+            };
+            let now = PathShape {
+                at: best.at.clone(),
+                moved: moved.clone(),
+                crossings: 0,
+            };
+            let Some(there) = self.step(&now, &base, conditions, LAST_LENGTHS, exec)? else {
+                break;
+            };
+            for part in RELAXED_BY {
+                moved = (now.moved.iter().zip(&there.moved))
+                    .map(|(a, b)| a.lerp(*b, part))
+                    .collect();
+                self.weigh(displaced(&base, &self.region, &moved), best, exec)?;
+                if best.at != now.at {
+                    break;
+                }
+            }
+            if best.at == now.at {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Goes to the shape beside `base` in which conditions hold, and edges have a part of what they lack to their rest lengths. `None`
+    /// where nearly all faces overlap.
     fn step(
         &self,
         from: &PathShape,
         base: &[DVec3],
         mut conditions: Vec<Condition>,
+        lengths: f64,
         exec: &Exec<'_>,
     ) -> Result<Option<PathShape>, Cancelled> {
         exec.check()?;
         let region = &self.region;
         let finder = self.finder(CONTOUR_STYLE, Vec::new(), Knowledge::default());
-        let problem = DisplacementProblem::new(&finder, base, &self.rest_bend);
+        let now = displaced(base, region, &from.moved);
+        let problem = DisplacementProblem::new(&finder, base, &self.rest_bend)
+            .keeping_volume(base, &now, &from.moved)
+            .restoring_lengths(&now, lengths);
         let mut moved = from.moved.clone();
         let mut at = Vec::new();
         for _ in 0..SOLVES {

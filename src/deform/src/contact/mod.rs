@@ -237,19 +237,21 @@ impl ContactSurface<'_> {
         parting.shorten_curves(exec)?;
         let mut best = parting.best_shape();
         if !parting.is_good(&best) {
-            let mut is_free = false;
             let followed = match path {
                 Some(path) => self.follow(base, path, exec)?,
                 None => None,
             };
+            let is_followed = followed.is_some();
             if let Some(at) = followed {
-                is_free = parting.weigh(self.freed(at, exec)?, &mut best, exec)? && best.faults == 0;
+                parting.weigh(self.freed(at, exec)?, &mut best, exec)?;
             }
-            if !is_free {
+            // On the way layers are not looked at.
+            if !is_followed || (best.faults > 0 && !self.layers.is_empty()) {
                 parting.best = parting.before.clone();
                 parting.part_further(&mut best, exec)?;
             }
         }
+        parting.relax(&mut best, exec)?;
         let left = self.faults(&best.at, None, 0.0, exec)?;
         if best.at.iter().all(|p| p.is_finite()) && left.is_some_and(|left| left.count() < before.count()) {
             positions[..vertices].copy_from_slice(&best.at);
@@ -407,18 +409,17 @@ impl<'a> Parting<'a> {
         self.before.strain + parted * parted * self.before.strain.max(least)
     }
 
-    /// Puts a shape in the place of the `best` one where it is better; whether it was.
-    fn weigh(&self, at: Vec<DVec3>, best: &mut PartedShape, exec: &Exec<'_>) -> Result<bool, Cancelled> {
+    /// Puts a shape in the place of the `best` one where it is better.
+    fn weigh(&self, at: Vec<DVec3>, best: &mut PartedShape, exec: &Exec<'_>) -> Result<(), Cancelled> {
         let Some(faults) = self.surface.faults(&at, None, 0.0, exec)? else {
-            return Ok(false);
+            return Ok(());
         };
         let (faults, strain) = (faults.count(), self.surface.strain(&at));
         let shape = PartedShape { at, faults, strain };
-        let is_better = faults < self.before.faults && strain <= self.most_strain(faults) && shape.is_better(best);
-        if is_better {
+        if faults < self.before.faults && strain <= self.most_strain(faults) && shape.is_better(best) {
             *best = shape;
         }
-        Ok(is_better)
+        Ok(())
     }
 
     fn finder(&self, style: PartingStyle, normals: Vec<DVec3>, knowledge: Knowledge) -> ContactFinder<'_> {
@@ -427,7 +428,7 @@ impl<'a> Parting<'a> {
             region: &self.region,
             layers: self.surface.layers,
             clearance: self.clearance,
-            keeps_rest_gaps: self.surface.at_rest == RestCrossings::Stay,
+            is_posed: self.surface.at_rest == RestCrossings::Stay,
             style,
             normals,
             knowledge,
@@ -482,7 +483,9 @@ impl<'a> Parting<'a> {
             let part = |part: f64| moved.iter().map(|by| *by * part).collect::<Vec<DVec3>>();
             let (kept, mut by) = (part(1.0 - CONTOUR_BACK), part(CONTOUR_BACK));
             let from = displaced(self.base, &self.region, &kept);
-            DisplacementProblem::new(&finder, &from, &self.rest_bend).improve(conditions, 1, &mut by, exec)?;
+            DisplacementProblem::new(&finder, &from, &self.rest_bend)
+                .keeping_volume(self.base, &now.at, &by)
+                .improve(conditions, 1, &mut by, exec)?;
             moved = kept.iter().zip(&by).map(|(kept, by)| *kept + *by).collect();
             match self.look(&moved, &Knowledge::default(), 0.0, exec)? {
                 Some(next) if !patience.ends(next.faults.count(), self.before.faults) => now = next,
@@ -522,12 +525,9 @@ impl<'a> Parting<'a> {
                 exec.check()?;
                 let mut finder = self.finder(style, normals, knowledge);
                 finder.look(&now.at, &now.faults.crossings, &now.faults.misplaced);
-                DisplacementProblem::new(&finder, self.base, &self.rest_bend).improve(
-                    finder.conditions(),
-                    CHOICES,
-                    &mut moved,
-                    exec,
-                )?;
+                DisplacementProblem::new(&finder, self.base, &self.rest_bend)
+                    .keeping_volume(self.base, &now.at, &moved)
+                    .improve(finder.conditions(), CHOICES, &mut moved, exec)?;
                 ContactFinder { normals, knowledge, .. } = finder;
                 match self.look(&moved, &knowledge, self.clearance, exec)? {
                     Some(next) if !patience.ends(next.faults.count(), self.before.faults) => now = next,

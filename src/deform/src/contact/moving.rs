@@ -250,7 +250,7 @@ impl FrameParting<'_> {
             region: self.region,
             layers: &LayerSides::default(),
             clearance: 0.0,
-            keeps_rest_gaps: true,
+            is_posed: true,
             style: CONTOUR_STYLE,
             // Nothing is flattened: no normal is asked for.
             normals: Vec::new(),

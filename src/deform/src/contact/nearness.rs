@@ -155,7 +155,7 @@ impl<'a> NearSearch<'a> {
         Ok(Some(pairs))
     }
 
-    /// Whether two faces do not have a corner together, may move, and face each other.
+    /// Whether two faces do not have an edge together, may move, and face each other.
     fn may_touch(&self, pair: [u32; 2], at: &[DVec3]) -> bool {
         let [f, g] = pair.map(|t| self.mesh.triangles[t as usize]);
         let normal = |corners: [u32; 3]| {
@@ -163,7 +163,7 @@ impl<'a> NearSearch<'a> {
             (b - a).cross(c - a).normalize_or_zero()
         };
         let is_facing = || normal(f).dot(normal(g)) <= FACING || self.layers.sides(f[0], g[0]).is_some();
-        !f.iter().any(|v| g.contains(v)) && self.is_any_free(&[f, g].concat()) && is_facing()
+        f.iter().filter(|v| g.contains(v)).count() < 2 && self.is_any_free(&[f, g].concat()) && is_facing()
     }
 
     fn is_any_free(&self, some: &[u32]) -> bool {

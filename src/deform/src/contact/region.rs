@@ -19,6 +19,8 @@ pub(super) struct ContactRegion {
     pub faces: Vec<u32>,
     /// By face: whether it is one of them.
     pub is_near: Vec<bool>,
+    /// Whether a free vertex lies on a border of the surface.
+    pub has_border: bool,
     /// The median edge, model units.
     pub edge: f64,
 }
@@ -63,6 +65,9 @@ impl ContactRegion {
             }
         }
         let around: Vec<Vec<u32>> = around.into_iter().map(sorted_set).collect();
+        // Around a vertex inside of a surface there are as many faces as neighbours, and more where three meet at an edge.
+        let mut inner = nodes[..free].iter().zip(&around);
+        let has_border = inner.any(|(v, own)| faces_of.of(*v).len() < own.len());
         let degrees = around.iter().map(|own| own.len() as f64).collect();
         let inside = |own: Vec<u32>| {
             own.into_iter()
@@ -78,6 +83,7 @@ impl ContactRegion {
         let mut lengths: Vec<f64> = faces.iter().map(length).collect();
         lengths.sort_unstable_by(f64::total_cmp);
         Self {
+            has_border,
             edge: lengths.get(lengths.len() / 2).copied().unwrap_or(0.0),
             nodes,
             free,
