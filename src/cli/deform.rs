@@ -4,7 +4,7 @@ use super::input_files::{
     AllowedFolders, LARGEST, NamedFiles, folder_of, in_file, output_format, read_file, read_model,
 };
 use super::output_files::{OutputPermission, is_same_place};
-use super::terminal::{CliFailure, StageSpinner, ThreadArgs, print_json, say};
+use super::terminal::{CliFailure, ComputeArgs, print_json, say};
 use crate::asset::{FileSet, FollowedCounts, Format, WrittenFiles};
 use crate::batch::{self, BatchOutput};
 use crate::engine::DeformerLimits;
@@ -40,7 +40,7 @@ pub struct DeformArgs {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
-    threads: ThreadArgs,
+    compute: ComputeArgs,
 }
 
 pub(super) fn run_deform(args: &DeformArgs) -> Result<(), CliFailure> {
@@ -59,9 +59,9 @@ pub(super) fn run_deform(args: &DeformArgs) -> Result<(), CliFailure> {
         }
         args.permission.check_target(&path)?;
     }
-    let pool = args.threads.start_pool()?;
+    let pool = args.compute.threads.start_pool()?;
     let files = read_model(&args.model)?;
-    let spinner = StageSpinner::new(args.json);
+    let spinner = args.compute.show_stages(args.json);
     let clock = Instant::now();
     let millis = || clock.elapsed().as_secs_f64() * 1e3;
     let limits = DeformerLimits::default();

@@ -2,7 +2,7 @@
 
 use super::input_files::{in_file, read_file, read_model};
 use super::result_args::{ResultArgs, SheetLayout, captioned, read_shape};
-use super::terminal::{CliFailure, StageSpinner, print_json, say};
+use super::terminal::{CliFailure, print_json, say};
 use super::wrap::landmarks::landmarks_from_json;
 use crate::asset::{FileSet, Format, WrittenFiles};
 use crate::deform::VolumeMode;
@@ -39,11 +39,11 @@ pub struct FitArgs {
 
 pub(super) fn run_fit(args: &FitArgs) -> Result<(), CliFailure> {
     let format = args.result.checked_format()?;
-    let pool = args.result.threads.start_pool()?;
+    let pool = args.result.compute.threads.start_pool()?;
     let outfit = read_model(&args.outfit)?;
     let bodies = [read_model(&args.body)?, read_model(&args.other_body)?];
     args.result.spare(&args.outfit, &outfit)?;
-    let spinner = StageSpinner::new(args.result.json);
+    let spinner = args.result.compute.show_stages(args.result.json);
     let clock = Instant::now();
     let came = args.fit(&outfit, &bodies, format, &Exec::new(&pool, &spinner))?;
     spinner.finish();

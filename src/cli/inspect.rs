@@ -1,7 +1,7 @@
 //! `pliant inspect`: what the solver sees in a model.
 
 use super::input_files::{in_file, is_bvh, read_file, with_companions};
-use super::terminal::{CliFailure, StageSpinner, ThreadArgs, print_text, print_value};
+use super::terminal::{CliFailure, ComputeArgs, print_text, print_value};
 use crate::batch::{self, ModelContents};
 use crate::engine::DeformerLimits;
 use crate::exec::Exec;
@@ -30,11 +30,11 @@ pub struct InspectArgs {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
-    threads: ThreadArgs,
+    compute: ComputeArgs,
 }
 
 pub(super) fn run_inspect(args: &InspectArgs) -> Result<(), CliFailure> {
-    let pool = args.threads.start_pool()?;
+    let pool = args.compute.threads.start_pool()?;
     let main = read_file(&args.model)?;
     if is_bvh(&main) {
         let clip = read_bvh(&main, &ClipLimits::default()).map_err(|e| in_file(&args.model, e))?;
@@ -45,7 +45,7 @@ pub(super) fn run_inspect(args: &InspectArgs) -> Result<(), CliFailure> {
         };
     }
     let files = with_companions(&args.model, main)?;
-    let spinner = StageSpinner::new(args.json);
+    let spinner = args.compute.show_stages(args.json);
     let (found, contents) = batch::inspect(
         files,
         &pb::CreateOptions::default(),

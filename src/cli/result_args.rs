@@ -3,7 +3,7 @@
 use super::drawing::{DrawnShape, NormalChoice, UpAxisChoice, ViewList, parse_views};
 use super::input_files::{in_file, output_format};
 use super::output_files::{OutputPermission, check_ending, spare_companions};
-use super::terminal::{CliFailure, ThreadArgs, pretty_text};
+use super::terminal::{CliFailure, ComputeArgs, pretty_text};
 use crate::asset::{FileSet, Format, Limits, Model, WrittenFiles};
 use crate::pool::Pool;
 use crate::render::{PictureSize, ShadedSurface, SheetShape, ViewSheet};
@@ -37,7 +37,7 @@ pub(super) struct ResultArgs {
     #[arg(long)]
     pub json: bool,
     #[command(flatten)]
-    pub threads: ThreadArgs,
+    pub compute: ComputeArgs,
 }
 
 /// How a picture is laid out.

@@ -4,7 +4,7 @@
 
 use super::input_files::{in_file, open_model, read_file};
 use super::output_files::{OutputPermission, check_ending, spare_companions};
-use super::terminal::{CliFailure, StageSpinner, ThreadArgs, pretty_text, print_value, say};
+use super::terminal::{CliFailure, ComputeArgs, pretty_text, print_value, say};
 use crate::asset::{CarryingJoints, Model, SkinnedClip};
 use crate::engine::{MadeRig, RigOrder, bind_model, carrying_joints, left_out_of_rig, left_out_primitives, make_rig};
 use crate::exec::Exec;
@@ -64,7 +64,7 @@ pub struct RigArgs {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
-    threads: ThreadArgs,
+    compute: ComputeArgs,
 }
 
 pub(super) fn run_rig(args: &RigArgs) -> Result<(), CliFailure> {
@@ -94,12 +94,12 @@ pub(super) fn run_rig(args: &RigArgs) -> Result<(), CliFailure> {
         .as_ref()
         .map(|path| read_bvh(&read_file(path)?, &ClipLimits::default()).map_err(|e| in_file(path, e)));
     let clip = clip.transpose()?;
-    let pool = args.threads.start_pool()?;
+    let pool = args.compute.threads.start_pool()?;
     let model = open_model(&args.model)?;
     for path in [Some(&args.output), picture.as_ref()].into_iter().flatten() {
         spare_companions(path, &args.model, &model.files)?;
     }
-    let spinner = StageSpinner::new(args.json);
+    let spinner = args.compute.show_stages(args.json);
     let order = RigOrder {
         clip: clip.as_ref(),
         preset: args.preset.as_deref(),
@@ -302,15 +302,15 @@ pub struct SkinArgs {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
-    threads: ThreadArgs,
+    compute: ComputeArgs,
 }
 
 pub(super) fn run_skin(args: &SkinArgs) -> Result<(), CliFailure> {
     check_ending(&args.output, "glb", "a skinned model")?;
     args.permission.check_target(&args.output)?;
-    let pool = args.threads.start_pool()?;
+    let pool = args.compute.threads.start_pool()?;
     let rig = wire::rig_from_json(&read_file(&args.rig)?).map_err(|e| in_file(&args.rig, e))?;
-    let spinner = StageSpinner::new(args.json);
+    let spinner = args.compute.show_stages(args.json);
     let clock = Instant::now();
     let model = open_model(&args.model)?;
     let bound = bind_model(&model, &rig, args.influences, &Exec::new(&pool, &spinner))?;

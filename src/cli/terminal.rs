@@ -14,50 +14,119 @@ use std::io::Write as _;
 use std::ops::RangeInclusive;
 use std::path::Path;
 use std::process::ExitCode;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 use tokio::signal::unix::{Signal, SignalKind, signal};
+
+/// Prints a line on stderr, as `eprintln!` does, with what would steer a terminal escaped.
+macro_rules! say {
+    ($($part:tt)*) => { eprintln!("{}", $crate::cli::terminal::harmless(&format!($($part)*))) };
+}
+/// Prints a line on stdout, as `println!` does, with what would steer a terminal escaped.
+macro_rules! list {
+    ($($part:tt)*) => { println!("{}", $crate::cli::terminal::harmless(&format!($($part)*))) };
+}
+pub(super) use {list, say};
 
 /// Time between two frames of the spinner, which turns without progress too.
 const TICK: Duration = Duration::from_millis(100);
 
-/// Shows the stage under way on stderr when that is a terminal; silent otherwise.
-pub(super) struct StageSpinner(ProgressBar);
+/// Time between two plain lines of one stage.
+const BETWEEN_LINES: Duration = Duration::from_secs(5);
 
-impl StageSpinner {
-    /// Starts a spinner; a quiet one shows nothing.
-    pub fn new(quiet: bool) -> Self {
+/// How progress is shown on stderr.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum ProgressChoice {
+    /// One line at a terminal, drawn again and again; nothing elsewhere, and nothing with --json
+    Auto,
+    /// A line for each stage, and another one every five seconds
+    Plain,
+    /// Nothing
+    None,
+}
+
+/// Shows how far work is.
+pub(super) struct ProgressDisplay {
+    /// Hidden where nothing is drawn.
+    bar: ProgressBar,
+    lines: Option<PlainLines>,
+}
+
+/// Lines on stderr that stay.
+struct PlainLines {
+    begun: Instant,
+    /// The stage of the last line, and when it was printed.
+    last: Mutex<Option<(&'static str, Instant)>>,
+}
+
+impl ProgressDisplay {
+    fn new(choice: ProgressChoice, quiet: bool, bar: ProgressBar, template: &str) -> Self {
         // indicatif draws nothing when stderr is not a terminal.
-        let bar = if quiet {
-            ProgressBar::hidden()
-        } else {
-            ProgressBar::new_spinner()
-        };
-        if let Ok(style) = ProgressStyle::with_template("{spinner} {msg} ({elapsed})") {
+        let is_drawn = choice == ProgressChoice::Auto && !quiet;
+        let bar = if is_drawn { bar } else { ProgressBar::hidden() };
+        if let Ok(style) = ProgressStyle::with_template(template) {
             bar.set_style(style);
         }
-        if !bar.is_hidden() {
-            bar.enable_steady_tick(TICK);
-        }
-        Self(bar)
+        let lines = (choice == ProgressChoice::Plain).then(|| PlainLines {
+            begun: Instant::now(),
+            last: Mutex::default(),
+        });
+        Self { bar, lines }
     }
 
-    /// Takes the spinner off the terminal.
+    /// Whether nothing is shown.
+    pub fn is_hidden(&self) -> bool {
+        self.lines.is_none() && (self.bar.is_hidden() || self.bar.is_finished())
+    }
+
+    /// Shows what is done at a stage, whose bar is at `position`.
+    pub fn show(&self, stage: &'static str, position: u64, text: String) {
+        match &self.lines {
+            None => {
+                self.bar.set_position(position);
+                self.bar.set_message(text);
+            }
+            Some(lines) => lines.show(stage, &text),
+        }
+    }
+
+    /// Takes what is drawn off the terminal.
     pub fn finish(&self) {
-        self.0.finish_and_clear();
+        self.bar.finish_and_clear();
     }
 }
 
-impl Drop for StageSpinner {
+impl Drop for ProgressDisplay {
     fn drop(&mut self) {
         self.finish();
     }
 }
 
+impl PlainLines {
+    fn show(&self, stage: &'static str, text: &str) {
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_due = |(before, at): (&str, Instant)| before != stage || at.elapsed() >= BETWEEN_LINES;
+        if last.is_none_or(is_due) {
+            *last = Some((stage, Instant::now()));
+            say!("pliant: {text} ({} s)", self.begun.elapsed().as_secs());
+        }
+    }
+}
+
+/// Shows the stage under way.
+pub(super) struct StageSpinner(ProgressDisplay);
+
+impl StageSpinner {
+    /// Takes the spinner off the terminal.
+    pub fn finish(&self) {
+        self.0.finish();
+    }
+}
+
 impl Progress for StageSpinner {
     fn report(&self, stage: &'static str, fraction: f32) {
-        self.0.set_message(stage_text(stage, fraction));
+        self.0.show(stage, 0, stage_text(stage, fraction));
     }
 }
 
@@ -114,16 +183,6 @@ pub(super) fn harmless(text: &str) -> Cow<'_, str> {
     };
     Cow::Owned(text.chars().fold(String::new(), each))
 }
-
-/// Prints a line on stderr, as `eprintln!` does, with what would steer a terminal escaped.
-macro_rules! say {
-    ($($part:tt)*) => { eprintln!("{}", $crate::cli::terminal::harmless(&format!($($part)*))) };
-}
-/// Prints a line on stdout, as `println!` does, with what would steer a terminal escaped.
-macro_rules! list {
-    ($($part:tt)*) => { println!("{}", $crate::cli::terminal::harmless(&format!($($part)*))) };
-}
-pub(super) use {list, say};
 
 /// Runs a command that waits to its end, on this thread.
 pub(super) fn block_on<T>(command: impl Future<Output = T>) -> Result<T, CliFailure> {
@@ -190,6 +249,33 @@ pub(super) fn raised_on_stop() -> Result<Arc<CancelFlag>, CliFailure> {
         .spawn(wait)
         .map_err(failed)?;
     Ok(flag)
+}
+
+/// How a command computes, and shows how far it is.
+#[derive(Debug, Args)]
+pub(super) struct ComputeArgs {
+    #[command(flatten)]
+    pub threads: ThreadArgs,
+    /// How progress is shown on stderr
+    #[arg(long, env = "PLIANT_PROGRESS", value_enum, default_value_t = ProgressChoice::Auto)]
+    progress: ProgressChoice,
+}
+
+impl ComputeArgs {
+    /// Starts to show stages; where `quiet`, only as lines.
+    pub fn show_stages(&self, quiet: bool) -> StageSpinner {
+        let template = "{spinner} {msg} ({elapsed})";
+        let display = ProgressDisplay::new(self.progress, quiet, ProgressBar::new_spinner(), template);
+        if !display.bar.is_hidden() {
+            display.bar.enable_steady_tick(TICK);
+        }
+        StageSpinner(display)
+    }
+
+    /// Starts a bar of so many parts; where `quiet`, only lines.
+    pub fn show_parts(&self, quiet: bool, parts: u64) -> ProgressDisplay {
+        ProgressDisplay::new(self.progress, quiet, ProgressBar::new(parts), "{wide_bar} {msg}")
+    }
 }
 
 /// The thread budget of commands that compute in process.

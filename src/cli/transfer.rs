@@ -3,7 +3,7 @@
 use super::drawing::{DrawnShape, NormalChoice};
 use super::input_files::{in_file, read_file, read_model};
 use super::result_args::{ResultArgs, SheetLayout, read_shape};
-use super::terminal::{CliFailure, StageSpinner, print_json, say};
+use super::terminal::{CliFailure, print_json, say};
 use super::wrap::landmarks::{in_names_of_file, landmarks_from_json};
 use crate::asset::{FileSet, Format, Model, WrittenFiles};
 use crate::deform::VolumeMode;
@@ -46,12 +46,12 @@ pub(super) fn run_transfer(args: &TransferArgs) -> Result<(), CliFailure> {
             "--output: blend shapes are written as glb alone".into(),
         ));
     }
-    let pool = args.result.threads.start_pool()?;
+    let pool = args.result.compute.threads.start_pool()?;
     let [source, target] = [&args.source, &args.target].map(|path| read_model(path));
     let (source, target) = (source?, target?);
     let shape = args.shape.as_ref().map(|path| read_model(path)).transpose()?;
     args.result.spare(&args.target, &target)?;
-    let spinner = StageSpinner::new(args.result.json);
+    let spinner = args.result.compute.show_stages(args.result.json);
     let clock = Instant::now();
     let came = args.transfer(
         [Some(&source), Some(&target), shape.as_ref()],

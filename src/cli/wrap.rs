@@ -5,7 +5,7 @@ pub(super) mod landmarks;
 use super::deform::report_format;
 use super::input_files::{in_file, read_file, read_model};
 use super::result_args::{ResultArgs, SheetLayout, captioned, read_shape};
-use super::terminal::{CliFailure, StageSpinner, print_json, say};
+use super::terminal::{CliFailure, print_json, say};
 use crate::asset::{FileSet, WrittenFiles};
 use crate::batch::{self, BatchOutput};
 use crate::engine::DeformerLimits;
@@ -43,12 +43,12 @@ pub struct WrapArgs {
 
 pub(super) fn run_wrap(args: &WrapArgs) -> Result<(), CliFailure> {
     let format = args.result.checked_format()?;
-    let pool = args.result.threads.start_pool()?;
+    let pool = args.result.compute.threads.start_pool()?;
     let files = read_model(&args.template)?;
     args.result.spare(&args.template, &files)?;
     let target = read_file(&args.target)?;
     let job = args.job(target.clone())?;
-    let spinner = StageSpinner::new(args.result.json);
+    let spinner = args.result.compute.show_stages(args.result.json);
     let clock = Instant::now();
     let millis = || clock.elapsed().as_secs_f64() * 1e3;
     let output = BatchOutput {

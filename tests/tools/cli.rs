@@ -421,6 +421,19 @@ fn a_terminal_sees_which_stage_is_under_way_and_how_far() {
         "only people are shown stages: {}",
         piped.err
     );
+    // A log has them as lines, where that is asked for, beside the one document of stdout.
+    let logged = folder.done("inspect creature.glb --progress plain --json");
+    let lines: Vec<&str> = logged.err.lines().collect();
+    assert!(
+        lines.iter().any(|line| line.starts_with("pliant: graph")) && lines.iter().all(|line| line.ends_with(" s)")),
+        "{}",
+        logged.err
+    );
+    assert!(logged.json().is_object());
+    let script = "import pty, sys; sys.exit(pty.spawn(sys.argv[1:]) >> 8)";
+    if let Some((_, drawn)) = on_a_terminal(&folder, script, &["inspect", "creature.glb", "--progress", "none"]) {
+        assert!(!drawn.contains(" %"), "{drawn}");
+    }
 }
 
 #[test]

@@ -14,7 +14,7 @@ mod play;
 
 use super::deform::describe_change;
 use super::input_files::{in_file, read_file, read_model};
-use super::terminal::{CliFailure, StageSpinner, ThreadArgs, print_json, raised_on_stop, say};
+use super::terminal::{CliFailure, ComputeArgs, print_json, raised_on_stop, say};
 use crate::asset::{FileSet, Model};
 use crate::deform::EdgeWeights;
 use crate::engine::{
@@ -88,7 +88,7 @@ pub struct AnimateArgs {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
-    threads: ThreadArgs,
+    compute: ComputeArgs,
 }
 
 /// Whether the first frame is left out.
@@ -135,10 +135,10 @@ pub(in crate::cli) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> 
     let scale = args.scale()?;
     let frames = args.frame_choice()?;
     let output = args.output.output()?;
-    let pool = args.threads.start_pool()?;
+    let pool = args.compute.threads.start_pool()?;
     let sources = args.sources()?;
     output.spare_companions_of(&args.model, &sources.files)?;
-    let spinner = StageSpinner::new(args.json);
+    let spinner = args.compute.show_stages(args.json);
     let exec = Exec::new(&pool, &spinner);
     let clock = Instant::now();
     let millis = || clock.elapsed().as_secs_f64() * 1e3;
@@ -166,7 +166,7 @@ pub(in crate::cli) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> 
     let animation = prepared.map_err(|error| args.failure_of(error))?;
     let identity = sources.identity + &output.identity() + &identity_of_frames(&animation);
     // Frames are taken while others are solved: on the threads that solve, taking one would wait for the end of a block.
-    let taking = args.threads.start_pool()?;
+    let taking = args.compute.threads.start_pool()?;
     let mut taker = output.begin(PlayedAnimation {
         deformer: &deformer,
         animation: &animation,
@@ -181,6 +181,7 @@ pub(in crate::cli) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> 
     spinner.finish();
     let stop = raised_on_stop()?;
     let bar = FramesBar::new(
+        &args.compute,
         args.json,
         missing.iter().map(ExactSizeIterator::len).sum(),
         Arc::clone(&stop),

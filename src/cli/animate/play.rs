@@ -2,12 +2,11 @@
 
 use crate::asset::{FileSet, Primitive};
 use crate::cli::output_files::OutputPermission;
-use crate::cli::terminal::CliFailure;
+use crate::cli::terminal::{CliFailure, ComputeArgs, ProgressDisplay};
 use crate::engine::{AnimatedFrame, Animation, Deformer, FrameSums, QualityReport, digest};
 use crate::exec::Exec;
 use crate::progress::{CancelFlag, Progress};
 use crate::wire::{animation_totals, feet_message, held_nodes_message, pb};
-use indicatif::{ProgressBar, ProgressStyle};
 use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
@@ -182,10 +181,9 @@ pub(super) fn kept_frames([kept, frames]: [usize; 2], place: &Path) -> String {
 /// Parts of a whole bar.
 const WHOLE: u64 = 10_000;
 
-/// Watches an animation: shows solved frames, frames a second and the time left on stderr when that is a terminal, and gives the work
-/// up when its flag is raised.
+/// Watches an animation: shows solved frames, frames a second and the time left, and gives the work up when its flag is raised.
 pub(super) struct FramesBar {
-    bar: ProgressBar,
+    display: ProgressDisplay,
     stop: Arc<CancelFlag>,
     begun: Instant,
     solved: AtomicUsize,
@@ -193,19 +191,10 @@ pub(super) struct FramesBar {
 }
 
 impl FramesBar {
-    /// Starts a bar over so many frames; a quiet one shows nothing.
-    pub(super) fn new(quiet: bool, frames: usize, stop: Arc<CancelFlag>) -> Self {
-        // indicatif draws nothing when stderr is not a terminal.
-        let bar = if quiet {
-            ProgressBar::hidden()
-        } else {
-            ProgressBar::new(WHOLE)
-        };
-        if let Ok(style) = ProgressStyle::with_template("{wide_bar} {msg}") {
-            bar.set_style(style);
-        }
+    /// Starts a bar over so many frames; a quiet one draws nothing.
+    pub(super) fn new(args: &ComputeArgs, quiet: bool, frames: usize, stop: Arc<CancelFlag>) -> Self {
         Self {
-            bar,
+            display: args.show_parts(quiet, WHOLE),
             stop,
             begun: Instant::now(),
             solved: AtomicUsize::new(0),
@@ -220,13 +209,7 @@ impl FramesBar {
 
     /// Takes the bar off the terminal.
     pub(super) fn finish(&self) {
-        self.bar.finish_and_clear();
-    }
-}
-
-impl Drop for FramesBar {
-    fn drop(&mut self) {
-        self.finish();
+        self.display.finish();
     }
 }
 
@@ -236,14 +219,13 @@ impl Progress for FramesBar {
     }
 
     fn report(&self, stage: &'static str, fraction: f32) {
-        if stage != "frames" || self.bar.is_hidden() || self.bar.is_finished() {
+        if stage != "frames" || self.display.is_hidden() {
             return;
         }
         let fraction = f64::from(fraction).clamp(0.0, 1.0);
-        self.bar.set_position((fraction * WHOLE as f64) as u64);
         let solved = self.solved.load(Ordering::Relaxed);
-        self.bar
-            .set_message(bar_text([solved, self.frames], self.begun.elapsed(), fraction));
+        let text = bar_text([solved, self.frames], self.begun.elapsed(), fraction);
+        self.display.show(stage, (fraction * WHOLE as f64) as u64, text);
     }
 }
 

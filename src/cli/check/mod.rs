@@ -12,7 +12,7 @@ mod suite;
 
 use super::input_files::{AllowedFolders, folder_of, read_file, read_model};
 use super::output_files::{OutputPermission, is_same_target, spare_companions};
-use super::terminal::{CliFailure, StageSpinner, ThreadArgs, pretty_text, print_text, say};
+use super::terminal::{CliFailure, ComputeArgs, pretty_text, print_text, say};
 use crate::check::report::{CaseReport, ShardFacts, SuiteReport, merge_reports, read_report};
 use crate::check::{CaseStatus, Shard, digest_texts, measured_costs, report, split_cases, split_digest};
 use crate::session::store::build_identity;
@@ -73,7 +73,7 @@ pub struct CheckArgs {
     #[command(flatten)]
     output: ReportArgs,
     #[command(flatten)]
-    threads: ThreadArgs,
+    compute: ComputeArgs,
 }
 
 pub(super) fn run_check(args: &CheckArgs) -> Result<(), CliFailure> {
@@ -106,7 +106,7 @@ fn join_shards(args: &CheckArgs) -> Result<(), CliFailure> {
 
 /// Runs a suite, the `chosen` cases of it, or a shard; stores the results where it is to `bless` them.
 fn check_suite(suite: &Path, args: &CheckArgs, chosen: &[String], bless: bool) -> Result<(), CliFailure> {
-    let threads = args.threads.start_pool()?.threads();
+    let threads = args.compute.threads.start_pool()?.threads();
     let server = args
         .server
         .as_deref()
@@ -131,7 +131,7 @@ fn check_suite(suite: &Path, args: &CheckArgs, chosen: &[String], bless: bool) -
         pictures: args.output.wants_pictures(),
         times: args.output.times,
     };
-    let spinner = StageSpinner::new(args.output.json);
+    let spinner = args.compute.show_stages(args.output.json);
     let done = run_all_cases(&cases, &plan, threads, &spinner)?;
     spinner.finish();
 
