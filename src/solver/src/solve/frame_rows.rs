@@ -260,3 +260,49 @@ impl FrameRows<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::BoxLattice;
+
+    #[test]
+    fn sums_have_the_same_bits_in_instructions_of_any_width() {
+        fn compare<const WEIGHTED: bool>(level: &HierarchyLevel, rows: &[PoseRow]) {
+            for bundle in 0..level.rows() / SLICE_ROWS {
+                let sums = || BundleSums::<WEIGHTED> { rows, level, bundle };
+                let (wide, narrow) = (eight_wide(sums()), sums().run());
+                let bits = |sums: [[f32; NUMBERS]; SLICE_ROWS]| sums.map(|row| row.map(f32::to_bits));
+                assert_eq!(bits(wide), bits(narrow), "bundle {bundle}");
+                // And they are those of the neighbours, one after the other.
+                for (d, found) in narrow.iter().enumerate() {
+                    let i = bundle * SLICE_ROWS + d;
+                    let mut expected = [0.0f64; NUMBERS];
+                    for (j, w) in level.row(i) {
+                        for (c, sum) in expected.iter_mut().enumerate() {
+                            *sum += f64::from(w) * (f64::from(rows[j].0[c]) - f64::from(rows[i].0[c]));
+                        }
+                    }
+                    let near = |(found, expected): (&f32, &f64)| (f64::from(*found) - expected).abs() < 1e-2;
+                    assert!(found.iter().zip(&expected).all(near), "{found:?} against {expected:?}");
+                }
+            }
+        }
+        for weighted in [false, true] {
+            let block = BoxLattice::new(9, 7, 8);
+            let block = if weighted { block.weighted() } else { block };
+            let hierarchy = block.hierarchy(60);
+            let level = &hierarchy.levels[0];
+            let number = |i: usize, c: usize| libm::sinf((i * NUMBERS + c) as f32 * 0.7);
+            let row = |i: usize| match hierarchy.order[i] {
+                crate::lanes::NO_ROW => PoseRow::IDENTITY,
+                _ => PoseRow(std::array::from_fn(|c| number(i, c))),
+            };
+            let rows: Vec<PoseRow> = (0..level.rows()).map(row).collect();
+            match weighted {
+                true => compare::<true>(level, &rows),
+                false => compare::<false>(level, &rows),
+            }
+        }
+    }
+}
