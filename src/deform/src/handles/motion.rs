@@ -119,7 +119,7 @@ impl HandleSystem {
 
 /// What a place moves by with its share of a handle's motion.
 #[inline]
-pub(crate) fn moved_by(map: &DAffine3, share: f32, here: DVec3) -> DVec3 {
+fn moved_by(map: &DAffine3, share: f32, here: DVec3) -> DVec3 {
     (map.transform_point3(here) - here) * f64::from(share)
 }
 

@@ -190,10 +190,10 @@ impl Manager {
             .as_ref()
             .is_some_and(|store| store.ownership().is_some());
         // Another node that refused the creation may have taken the session and its key back since the key was read.
-        let tries = if is_shared && key.is_some() { 2 } else { 1 };
-        for left in (0..tries).rev() {
-            let asked = (files.clone(), options.clone(), key.clone());
-            let answer = match create_session(&self.shared, tenant, &self.who, asked.0, asked.1, asked.2).await? {
+        let mut may_try_again = is_shared && key.is_some();
+        loop {
+            let (files, options, key) = (files.clone(), options.clone(), key.clone());
+            let answer = match create_session(&self.shared, tenant, &self.who, files, options, key).await? {
                 CreatedSession::Now(value) => {
                     return Ok(KeyedAnswer {
                         value: *value,
@@ -203,7 +203,9 @@ impl Manager {
                 CreatedSession::Before(answer) => answer,
             };
             match self.kept_answer(tenant, answer).await {
-                Err(error) if left > 0 && matches!(error.code, ErrorCode::NotFound | ErrorCode::AlreadyExists) => {}
+                Err(error) if may_try_again && matches!(error.code, ErrorCode::NotFound | ErrorCode::AlreadyExists) => {
+                    may_try_again = false;
+                }
                 kept => {
                     return Ok(KeyedAnswer {
                         value: kept?.try_into()?,
@@ -212,7 +214,6 @@ impl Manager {
                 }
             }
         }
-        Err(StoreError::Repeated.into())
     }
 
     /// Describes a session and renews its lease.

@@ -1,4 +1,4 @@
-//! What a store asks of its database. One implementation is SQL (`reading`, `nodes`, `transaction`); the other one is the model of a
+//! What a store asks of its database. One implementation is SQL (`sql_reading`, `sql_nodes`, `transaction`); the other one is the model of a
 //! database in `tests/simulation`, which delays and loses what it is asked.
 
 use super::session_store::{
