@@ -90,6 +90,10 @@ pub fn run_and_write(
     millis: &(dyn Fn() -> f64 + Sync),
 ) -> Result<BatchOutcome, Error> {
     let options = DeformOptions::check(&job.pose_options(), "options", u32::MAX)?;
+    if options.from_revision.is_some() {
+        let problem = "names a commit of a session, which a job does not have; leave it out";
+        return Err(Error::invalid("options.fromRevision", problem));
+    }
     job.expect.as_ref().map_or(Ok(()), |expect| expect.check("expect"))?;
     let todo = steps_of(job)?;
     check_begin(job, &todo)?;

@@ -8,7 +8,9 @@ use crate::targets::sessions::{JOB_LIMITS, box_file};
 use crate::targets::{self, TARGETS};
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits, Model, sample};
-use pliant::engine::{Deformer, Handle, HandlePose, HandlePoses, HandleSet, OpenOptions, Region, SolveSettings};
+use pliant::engine::{
+    Deformer, Handle, HandlePose, HandlePoses, HandleSet, OpenOptions, Region, SolveSettings, SolvedPose,
+};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -308,8 +310,11 @@ fn commits() -> Vec<Vec<u8>> {
             facts: facts.clone(),
         },
         LoggedCommit::Pose {
-            poses: poses.clone(),
-            settings: SolveSettings::default(),
+            pose: SolvedPose {
+                poses: poses.clone(),
+                settings: SolveSettings::default(),
+            },
+            starts: vec![SolvedPose::default()],
             warnings: Vec::new(),
             found_turns: Vec::new(),
             probe: probe.clone(),

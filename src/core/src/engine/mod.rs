@@ -99,7 +99,7 @@ pub use riding::CarriedNode;
 pub use riding_file::RidingFile;
 pub use settings::{
     COMMIT_REFINE, CarriedModel, Contact, DeformerLimits, KeptApart, OpenOptions, Passenger, PassengerKind, Recipe,
-    SolveMode, SolveSettings,
+    SolveMode, SolveSettings, SolvedPose,
 };
 pub use shape::{FoundTurn, ModelShape, Shader, Shading, ShapeId, TopologyId, digest, shading};
 pub use solve::Drag;

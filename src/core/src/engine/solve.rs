@@ -18,7 +18,9 @@ use crate::engine::handle::{HandlePose, HandlePoses};
 use crate::engine::resolved_handles::check_free_rotation;
 use crate::engine::riding::RidingVertices;
 use crate::engine::riding_frames::RidingFrames;
-use crate::engine::settings::{COMMIT_REFINE, Contact, DeformerLimits, HeldBeside, Recipe, SolveMode, SolveSettings};
+use crate::engine::settings::{
+    COMMIT_REFINE, Contact, DeformerLimits, HeldBeside, Recipe, SolveMode, SolveSettings, SolvedPose,
+};
 use crate::engine::shape::{ModelShape, ShapeId};
 use crate::exec::Exec;
 use crate::mesh::carry::{CarrySurface, LocalGradients};
@@ -137,6 +139,49 @@ impl Deformer {
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
     ) -> Result<ModelShape, Error> {
+        self.solve_begun(poses, settings, mode, mode.start(), exec, watch)
+    }
+
+    /// As [`Deformer::solve`], but fits go on from the shape of other poses of the same handles: from that of the last of `starts`, which
+    /// goes on from the one before it. All are solved in turn, so the result depends on nothing that was solved before. `watch` sees
+    /// `pose` alone.
+    ///
+    /// # Errors
+    /// Those of [`Deformer::solve`]; [`Error::Invalid`] for [`Method::SpatialRbf`], which goes on from no shape.
+    pub fn solve_from(
+        &mut self,
+        starts: &[SolvedPose],
+        pose: &SolvedPose,
+        mode: SolveMode,
+        exec: &Exec<'_>,
+        watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
+    ) -> Result<ModelShape, Error> {
+        let SolvedPose { poses, settings } = pose;
+        if starts.is_empty() {
+            return self.solve(poses, settings, mode, exec, watch);
+        }
+        if settings.method == Method::SpatialRbf {
+            let problem = "is SPATIAL_RBF, which goes on from no shape; GRAPH is allowed";
+            return Err(Error::invalid("options.method", problem));
+        }
+        self.state.reset();
+        let mut start = SolveStart::Fresh;
+        for SolvedPose { poses, settings } in starts {
+            self.solve_begun(poses, settings, SolveMode::Commit, start, exec, &mut |_| true)?;
+            start = SolveStart::Shape;
+        }
+        self.solve_begun(poses, settings, mode, start, exec, watch)
+    }
+
+    fn solve_begun(
+        &mut self,
+        poses: &HandlePoses,
+        settings: &SolveSettings,
+        mode: SolveMode,
+        start: SolveStart,
+        exec: &Exec<'_>,
+        watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
+    ) -> Result<ModelShape, Error> {
         let mut transforms = self.transforms(poses)?;
         self.check_request(settings, mode, exec)?;
         let free = self.handles.turning_freely(&poses.0);
@@ -162,10 +207,10 @@ impl Deformer {
         let mut found = None;
         if !free.is_empty() {
             exec.progress.begin_pass("turn");
-            let request = pose_request(&transforms, settings, mode, &[]);
+            let request = pose_request(&transforms, settings, mode, mode.start(), &[]);
             (transforms, found) = handle_system.find_turns(body, &request, &free, state, exec)?;
         }
-        let request = pose_request(&transforms, settings, mode, derived.framed_nodes());
+        let request = pose_request(&transforms, settings, mode, start, derived.framed_nodes());
         let shape = ShapeTransfer {
             body,
             mesh: &derived.mesh,
@@ -254,11 +299,12 @@ fn pose_request<'a>(
     transforms: &'a [Transform],
     settings: &SolveSettings,
     mode: SolveMode,
+    start: SolveStart,
     framed: &'a [u32],
 ) -> PoseRequest<'a> {
-    let (start, refine, extent) = match mode {
-        SolveMode::Drag => (SolveStart::Warm, 0, SolutionExtent::Surface(framed)),
-        SolveMode::Anew | SolveMode::Commit => (SolveStart::Fresh, COMMIT_REFINE, SolutionExtent::Graph),
+    let (refine, extent) = match mode {
+        SolveMode::Drag => (0, SolutionExtent::Surface(framed)),
+        SolveMode::Anew | SolveMode::Commit => (COMMIT_REFINE, SolutionExtent::Graph),
     };
     PoseRequest {
         transforms,

@@ -3,7 +3,7 @@
 //! The list of commits, in shared pieces: each change of the session publishes its history, and must not copy ten
 //! thousand commits for one.
 
-use pliant_core::engine::{HandlePoses, HandleSet, ModelShape, SolveSettings, TopologyState};
+use pliant_core::engine::{HandlePoses, HandleSet, ModelShape, SolveSettings, SolvedPose, TopologyState};
 use pliant_wire::pb;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -65,13 +65,13 @@ impl SessionState {
 /// A pose that was solved, to be committed.
 #[derive(Debug, Clone)]
 pub(crate) struct PosedState {
-    pub poses: HandlePoses,
+    pub pose: SolvedPose,
+    /// What its fits have gone on from, the oldest first.
+    pub starts: Vec<SolvedPose>,
     /// What a user should know of them.
     pub warnings: Vec<pb::Warning>,
     /// The rotations that were found for them.
     pub found_turns: Vec<pb::FoundTurn>,
-    /// How they were solved.
-    pub settings: SolveSettings,
     /// `None` where it is not at hand: it is solved again when it is asked for.
     pub shape: Option<ModelShape>,
     /// Digest of its positions.
@@ -96,12 +96,12 @@ pub(crate) struct EditedState {
 pub(crate) enum ShapeRecipe {
     /// It is the rest shape.
     Rest { topology: Option<TopologyState> },
-    /// It is the solution of these poses.
+    /// It is the solution of a pose, whose fits go on from the shape of the last of `starts`.
     Solved {
         topology: Option<TopologyState>,
         handles: Arc<CommittedHandles>,
-        poses: HandlePoses,
-        settings: SolveSettings,
+        starts: Vec<SolvedPose>,
+        pose: SolvedPose,
     },
 }
 

@@ -190,6 +190,7 @@ impl RunCall for PoseCommit {
             return Err(no_handles());
         }
         let Self { seq, changes, options } = self;
+        let starts = task.history.starts_from(options.from_revision)?;
         let (revision, part_bytes) = (task.history.revision() + 1, task.shared.config.part_bytes);
         let order = origin.order(
             WorkKind::Solve,
@@ -208,7 +209,7 @@ impl RunCall for PoseCommit {
                     queued: work.queued,
                     part_bytes,
                 };
-                let mut answer = deformer.solve_for_commit(seq, poses, &options, &frames, work)?;
+                let mut answer = deformer.solve_for_commit(seq, poses, starts, &options, &frames, work)?;
                 answer.frame = answer.frame.for_new_reader();
                 Ok::<_, engine::Error>(answer)
             })

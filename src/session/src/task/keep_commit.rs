@@ -51,8 +51,8 @@ impl SessionTask {
             return Ok(());
         }
         let commit = LoggedCommit::Pose {
-            poses: posed.poses.clone(),
-            settings: posed.settings,
+            pose: posed.pose.clone(),
+            starts: posed.starts.clone(),
             warnings: posed.warnings.clone(),
             found_turns: posed.found_turns.clone(),
             probe: ShapeProbe::of(&frame.positions),

@@ -16,10 +16,11 @@ use crate::stream::waiting_poses::{DraggedPoses, PoseEntries, WaitingPose};
 use crate::task::commands::lane_of_commit;
 use crate::task::session_task::{SessionTask, no_handles};
 use pliant_core::engine::{
-    self, COMMIT_REFINE, HandlePose, HandlePoses, Quality, SolveMode, SolveUpdate, TopologyState,
+    self, COMMIT_REFINE, HandlePose, HandlePoses, Quality, SolveMode, SolveUpdate, SolvedPose, TopologyState,
 };
 use pliant_wire::frames::Frame;
-use pliant_wire::origin_of;
+use pliant_wire::{DeformOptions, origin_of};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -36,6 +37,8 @@ struct TurnContext {
     mailbox: Arc<Mailbox>,
     state: SessionState,
     frames: FrameContext,
+    /// What poses that wait go on from, by revision.
+    starts: BTreeMap<u64, Result<Vec<SolvedPose>, engine::Error>>,
     /// The longest solve.
     longest: Duration,
 }
@@ -66,6 +69,10 @@ impl SessionTask {
         // A drag takes its best result in time; only one that has none after twice the time is given up.
         let limit = if commit { longest } else { longest.saturating_mul(2) };
         let (revision, part_bytes) = (self.history.revision(), self.shared.config.part_bytes);
+        let revisions = poses.iter().filter_map(|pose| pose.settings.from_revision);
+        let starts = revisions
+            .map(|from| (from, self.history.starts_from(Some(from))))
+            .collect();
         let stream = Arc::clone(&mailbox);
         let order = WorkOrder {
             lane,
@@ -85,6 +92,7 @@ impl SessionTask {
                     mailbox: stream,
                     state,
                     frames,
+                    starts,
                     longest,
                 };
                 turn.solve_newest(deformer, work, poses, dragged)
@@ -280,7 +288,8 @@ impl TurnContext {
                 revision: self.frames.revision + 1,
                 ..self.frames.clone()
             };
-            deformer.solve_for_commit(pose.seq, merged, &pose.settings, &frames, work)
+            let starts = self.starts_of(&pose.settings);
+            starts.and_then(|starts| deformer.solve_for_commit(pose.seq, merged, starts, &pose.settings, &frames, work))
         } else {
             self.solve_drag(deformer, &merged, &pose, work)
         };
@@ -289,6 +298,12 @@ impl TurnContext {
             dragged,
             answer,
         }))
+    }
+
+    /// What the pose of these options goes on from.
+    fn starts_of(&self, options: &DeformOptions) -> Result<Vec<SolvedPose>, engine::Error> {
+        let starts = options.from_revision.and_then(|from| self.starts.get(&from));
+        starts.cloned().unwrap_or_else(|| Ok(Vec::new()))
     }
 
     /// Solves a pose that is dragged. It starts from the last result, takes the best one in time, sends intermediate frames
@@ -306,9 +321,13 @@ impl TurnContext {
             Duration::try_from_secs_f64(ms / 1e3).unwrap_or(self.longest)
         });
         let budget = asked.min(self.longest);
-        let (mode, refine) = match settings.fits_coarse_first {
-            true => (SolveMode::Anew, COMMIT_REFINE),
-            false => (SolveMode::Drag, 0),
+        let (mode, refine, starts) = match settings.fits_coarse_first {
+            true => (SolveMode::Anew, COMMIT_REFINE, self.starts_of(settings)?),
+            false => (SolveMode::Drag, 0, Vec::new()),
+        };
+        let solved_pose = SolvedPose {
+            poses: poses.clone(),
+            settings: settings.solve,
         };
         let refine = settings.solve.quality.refine.unwrap_or(refine);
         let mut on_cycle = |now: &SolveUpdate<'_>| {
@@ -330,7 +349,7 @@ impl TurnContext {
             }
             true
         };
-        let solved = deformer.solve(poses, &settings.solve, mode, &work.exec(), &mut on_cycle)?;
+        let solved = deformer.solve(&starts, &solved_pose, mode, &work.exec(), &mut on_cycle)?;
         let solve_time = watch.elapsed();
         let mut frame = deformer.last_frame(pose.seq, settings, &self.frames, &solved);
         frame.header.solve_ms = ms_of(solve_time);

@@ -79,8 +79,17 @@ fn commits() -> Vec<LoggedCommit> {
             facts: facts(),
         },
         LoggedCommit::Pose {
-            poses: poses.clone(),
-            settings: unusual_settings(),
+            pose: SolvedPose {
+                poses: poses.clone(),
+                settings: unusual_settings(),
+            },
+            starts: vec![
+                SolvedPose::default(),
+                SolvedPose {
+                    poses: poses.clone(),
+                    settings: unusual_settings(),
+                },
+            ],
             warnings: vec![pb::Warning {
                 code: "a".into(),
                 message: "b".into(),
@@ -108,16 +117,19 @@ fn commits() -> Vec<LoggedCommit> {
             })),
         },
         LoggedCommit::Pose {
-            poses: poses.clone(),
-            // No request can ask for it: a default stands where nothing is given.
-            settings: SolveSettings {
-                quality: Quality {
-                    tolerance: None,
-                    ..Quality::default()
+            pose: SolvedPose {
+                poses: poses.clone(),
+                // No request can ask for it: a default stands where nothing is given.
+                settings: SolveSettings {
+                    quality: Quality {
+                        tolerance: None,
+                        ..Quality::default()
+                    },
+                    method: Method::SpatialRbf,
+                    ..SolveSettings::default()
                 },
-                method: Method::SpatialRbf,
-                ..SolveSettings::default()
             },
+            starts: Vec::new(),
             warnings: Vec::new(),
             found_turns: Vec::new(),
             probe: probe.clone(),
