@@ -120,6 +120,11 @@ export class Sheet {
     await this.page.keyboard.press(name);
   }
 
+  /** Takes a tool by its button: keys such as G begin at once. */
+  async tool(name) {
+    await this.page.locator(".rail").getByRole("button", { name, exact: false }).click();
+  }
+
   /** Drags the mouse along places, in some steps between each. */
   async drag(places, { steps = 12, pause = 0, holding = [] } = {}) {
     const { mouse, keyboard } = this.page;

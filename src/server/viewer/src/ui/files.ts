@@ -4,6 +4,7 @@ import { type ClipSource, animate, rigOf } from "../app/animating.ts";
 import { EXTENSIONS, openFiles } from "../app/opening.ts";
 import { correctedRig } from "../app/rigging.ts";
 import * as s from "../app/signals.ts";
+import { allAnswered } from "../app/steps.ts";
 import type { Format, PlacedFile } from "pliant-client";
 
 /** Asks for a model with the browser's file picker. */
@@ -105,6 +106,8 @@ export async function exportModel(format: Format): Promise<void> {
   if (open === undefined) return;
   s.busy.value = { title: `Writing ${format}` };
   try {
+    // What was typed last is part of it.
+    await allAnswered();
     const files = await open.session.files(format);
     const main = `${open.name.replace(/\.[a-z]+$/i, "")}-bent.${format}`;
     for (const [name, blob] of files) save(blob, name === "" ? main : (name.split("/").at(-1) ?? name));

@@ -97,6 +97,8 @@ export function NumberInput({ label, value, step = 0.1, min, max, digits = 3, di
       disabled={disabled}
       onChange={(event) => take(event.currentTarget)}
       onKeyDown={(event) => {
+        // Undo takes back what the page did; what was typed and not taken is dropped.
+        if ((event.ctrlKey || event.metaKey) && ["z", "y"].includes(event.key.toLowerCase())) event.currentTarget.value = shown;
         // What was typed is taken, and the next key is the page's.
         if (event.key === "Enter") event.currentTarget.blur();
       }}
