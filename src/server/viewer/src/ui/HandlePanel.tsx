@@ -9,7 +9,8 @@ import { lengthStep } from "../app/transforming.ts";
 import { AT_REST, type HandleState, colourOf, isAtRest } from "../model/handles.ts";
 import { TurnCount } from "./GizmoLabel.tsx";
 import { Icon } from "./icons.tsx";
-import { Button, Check, Choice, Field, NumberInput, Section, count } from "./parts.tsx";
+import { Button, Check, Choice, Field, NumberInput, Section } from "./parts.tsx";
+import { count } from "../model/words.ts";
 
 export function HandlePanel(): JSX.Element {
   const list = s.handles.value;

@@ -6,7 +6,8 @@ import * as s from "../app/signals.ts";
 import { wardrobe } from "../app/dressing.ts";
 import { FULL_STRETCH } from "../model/stretch.ts";
 import { buttonsMean } from "./mouse.ts";
-import { Check, Choice, Facts, Field, Section, count } from "./parts.tsx";
+import { Check, Choice, Facts, Field, Section } from "./parts.tsx";
+import { count } from "../model/words.ts";
 
 export function ViewPanel(): JSX.Element {
   const { colouring, wire, localAxes, looksWith, materials } = s.settings.value;

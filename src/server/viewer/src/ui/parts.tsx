@@ -3,11 +3,14 @@
 import type { ComponentChildren, JSX } from "preact";
 import { useState } from "preact/hooks";
 import { recall, store } from "../app/storage.ts";
+import { count } from "../model/words.ts";
 import { Icon, type IconName } from "./icons.tsx";
 
 interface ButtonProps {
   icon?: IconName;
   label: string;
+  /** What it does, where the label alone does not say. */
+  hint?: string;
   /** The key that does the same. */
   keys?: string;
   /** Shows the icon alone; the label becomes its name. */
@@ -18,8 +21,8 @@ interface ButtonProps {
   onClick: () => void;
 }
 
-export function Button({ icon, label, keys, bare, kind = "plain", pressed, disabled, onClick }: ButtonProps): JSX.Element {
-  const title = keys === undefined ? label : `${label} (${keys})`;
+export function Button({ icon, label, hint, keys, bare, kind = "plain", pressed, disabled, onClick }: ButtonProps): JSX.Element {
+  const title = hint ?? (keys === undefined ? label : `${label} (${keys})`);
   return (
     <button
       type="button"
@@ -161,11 +164,6 @@ export function Facts({ rows }: { rows: readonly (readonly [string, string, stri
 /** A number of things, such as "1 handle". */
 export function things(n: number, one: string): string {
   return `${count(n)} ${one}${n === 1 ? "" : "s"}`;
-}
-
-/** Whole numbers with commas, as the server writes them. */
-export function count(n: number | bigint | undefined): string {
-  return (n ?? 0).toLocaleString("en");
 }
 
 /** A time in a clip. */
