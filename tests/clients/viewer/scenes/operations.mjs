@@ -80,10 +80,7 @@ export async function play({ browser, url, server, log }) {
   // The box was a step, too, and so was the tool's choice of a handle.
   const first = (await server.json("GET", `/v1/sessions/${session}/history`)).commits[1].revision;
   for (let k = 0; k < steps + 4 && (await sheet.ask("state")).revision !== first; k++) {
-    const undone = await page.locator(".notice", { hasText: "Undone" }).allInnerTexts();
-    await sheet.key("Control+z");
-    await page.waitForFunction((was) => [...document.querySelectorAll(".notice")].some((note) => note.innerText.includes("Undone") && !was.includes(note.innerText)), undone);
-    await sheet.until("undo arrives", ({ busy }) => !busy);
+    await sheet.undo();
   }
   assert.deepEqual(await positions(), opened, "undo leads back across all of it");
   assert.deepEqual(sheet.complaints, []);

@@ -31,7 +31,7 @@ async function recorded(sheet, what, act) {
 
 /** Undoes as often, and waits until the pose of before is back. */
 async function undone(sheet, pose, times = 1) {
-  for (let k = 0; k < times; k++) await recorded(sheet, "undo", () => sheet.key("Control+z"));
+  for (let k = 0; k < times; k++) await sheet.undo();
   const same = (wanted) => JSON.stringify(window.pliantViewer.handles()[1].pose) === wanted;
   await sheet.page.waitForFunction(same, JSON.stringify(pose), { timeout: 10_000 });
 }
