@@ -83,7 +83,7 @@ function Surface(): JSX.Element {
         <Button label="Decimate" onClick={() => void edit("Decimating", { case: "decimate", value: { ...region(), ratio: kept / 100 } })} />
       </div>
       <div class="row">
-        <Field label="Edge length" hint="In model units; 0 remeshes only where the surface is stretched">
+        <Field label="Edges" hint="Their length in model units; 0 remeshes only where the surface is stretched">
           <NumberInput label="Edge length" value={remeshLength} min={0} digits={5} step={0.01} onValue={(length) => s.choose({ remeshLength: length })} />
         </Field>
         <span class="gap" />
