@@ -9,7 +9,7 @@ use crate::targets::{self, TARGETS};
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits, Model, sample};
 use pliant::engine::{
-    Deformer, Handle, HandlePose, HandlePoses, HandleSet, OpenOptions, Region, SolveSettings, SolvedPose,
+    Deformer, Handle, HandlePose, HandlePoses, HandleSet, OpenOptions, PoseChain, PoseRecipe, Region, SolveSettings,
 };
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -310,11 +310,13 @@ fn commits() -> Vec<Vec<u8>> {
             facts: facts.clone(),
         },
         LoggedCommit::Pose {
-            pose: SolvedPose {
-                poses: poses.clone(),
-                settings: SolveSettings::default(),
+            chain: PoseChain {
+                starts: vec![PoseRecipe::default()],
+                pose: PoseRecipe {
+                    poses: poses.clone(),
+                    settings: SolveSettings::default(),
+                },
             },
-            starts: vec![SolvedPose::default()],
             warnings: Vec::new(),
             found_turns: Vec::new(),
             probe: probe.clone(),

@@ -1,23 +1,10 @@
 //! Commits and frames that go on from the shape of a commit: undone, kept in a store, and refused where that is none of theirs.
 
 use super::fake::*;
-use super::real::{bent_in, turned, turning};
+use super::real::{bent_in, manager_of, turned, turning};
 use pliant::engine::{Handle, HandleSet, Method, Region};
-use pliant::session::store::StoreLocation;
-use pliant::session::{Manager, OpenDeformer, SessionConfig};
+use pliant::session::{Manager, SessionConfig};
 use pliant::wire::{DeformOptions, PoseCommit};
-use std::path::Path;
-use std::sync::Arc;
-
-async fn manager_of(folder: &Path) -> Manager {
-    let location = StoreLocation {
-        build: Some("one".into()),
-        ..StoreLocation::in_folder(folder)
-    };
-    let store = Arc::new(store_at(&location).await);
-    let manager = Manager::with_store(SessionConfig::default(), OpenDeformer, store).await;
-    manager.expect("a store")
-}
 
 /// The top turned, from the shape of a commit.
 fn from(revision: u64, angle: f64) -> PoseCommit {

@@ -220,11 +220,20 @@ impl SolveMode {
 
 /// Poses of all handles, and how they are solved.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct SolvedPose {
+pub struct PoseRecipe {
     /// The poses.
     pub poses: HandlePoses,
     /// How they are solved.
     pub settings: SolveSettings,
+}
+
+/// A pose with those that it goes on from.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct PoseChain {
+    /// The poses from whose shapes fits go on in turn, the oldest first; none: they begin from nothing.
+    pub starts: Vec<PoseRecipe>,
+    /// The pose.
+    pub pose: PoseRecipe,
 }
 
 /// What a deformer may hold.

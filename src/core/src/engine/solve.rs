@@ -19,7 +19,7 @@ use crate::engine::resolved_handles::check_free_rotation;
 use crate::engine::riding::RidingVertices;
 use crate::engine::riding_frames::RidingFrames;
 use crate::engine::settings::{
-    COMMIT_REFINE, Contact, DeformerLimits, HeldBeside, Recipe, SolveMode, SolveSettings, SolvedPose,
+    COMMIT_REFINE, Contact, DeformerLimits, HeldBeside, PoseChain, PoseRecipe, Recipe, SolveMode, SolveSettings,
 };
 use crate::engine::shape::{ModelShape, ShapeId};
 use crate::exec::Exec;
@@ -139,49 +139,51 @@ impl Deformer {
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
     ) -> Result<ModelShape, Error> {
-        self.solve_begun(poses, settings, mode, mode.start(), exec, watch)
+        let pose = PoseRecipe {
+            poses: poses.clone(),
+            settings: *settings,
+        };
+        self.solve_begun(&pose, mode, mode.start(), exec, watch)
     }
 
-    /// As [`Deformer::solve`], but fits go on from the shape of other poses of the same handles: from that of the last of `starts`, which
-    /// goes on from the one before it. All are solved in turn, so the result depends on nothing that was solved before. `watch` sees
-    /// `pose` alone.
+    /// As [`Deformer::solve`], but fits go on from the shape of other poses of the same handles. All of the chain are solved in turn, so the
+    /// result depends on nothing that was solved before. `watch` sees the last one alone.
     ///
     /// # Errors
     /// Those of [`Deformer::solve`]; [`Error::Invalid`] for [`Method::SpatialRbf`], which goes on from no shape.
     pub fn solve_from(
         &mut self,
-        starts: &[SolvedPose],
-        pose: &SolvedPose,
+        chain: &PoseChain,
         mode: SolveMode,
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
     ) -> Result<ModelShape, Error> {
-        let SolvedPose { poses, settings } = pose;
+        let PoseChain { starts, pose } = chain;
         if starts.is_empty() {
-            return self.solve(poses, settings, mode, exec, watch);
+            return self.solve_begun(pose, mode, mode.start(), exec, watch);
         }
-        if settings.method == Method::SpatialRbf {
+        if pose.settings.method == Method::SpatialRbf {
             let problem = "is SPATIAL_RBF, which goes on from no shape; GRAPH is allowed";
             return Err(Error::invalid("options.method", problem));
         }
         self.state.reset();
         let mut start = SolveStart::Fresh;
-        for SolvedPose { poses, settings } in starts {
-            self.solve_begun(poses, settings, SolveMode::Commit, start, exec, &mut |_| true)?;
+        for before in starts {
+            self.solve_begun(before, SolveMode::Commit, start, exec, &mut |_| true)?;
             start = SolveStart::Shape;
         }
-        self.solve_begun(poses, settings, mode, start, exec, watch)
+        self.solve_begun(pose, mode, start, exec, watch)
     }
 
     fn solve_begun(
         &mut self,
-        poses: &HandlePoses,
-        settings: &SolveSettings,
+        pose: &PoseRecipe,
         mode: SolveMode,
         start: SolveStart,
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
     ) -> Result<ModelShape, Error> {
+        let PoseRecipe { poses, settings } = pose;
         let mut transforms = self.transforms(poses)?;
         self.check_request(settings, mode, exec)?;
         let free = self.handles.turning_freely(&poses.0);

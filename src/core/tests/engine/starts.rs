@@ -3,8 +3,8 @@
 use glam::DVec3;
 use pliant_core::asset::{FileSet, shapes};
 use pliant_core::engine::{
-    Deformer, DeformerLimits, Error, Handle, HandlePose, ModelShape, OpenOptions, Region, SolveMode, SolveSettings,
-    SolvedPose,
+    Deformer, DeformerLimits, Error, Handle, HandlePose, ModelShape, OpenOptions, PoseChain, PoseRecipe, Region,
+    SolveMode, SolveSettings,
 };
 use pliant_core::exec::Exec;
 use pliant_core::pool::Pool;
@@ -31,13 +31,13 @@ fn tube(exec: &Exec<'_>) -> Deformer {
 }
 
 /// The upper end turned about y, and near the lower one, so that the tube bends to the side.
-fn bent(deformer: &Deformer, degrees: f64) -> SolvedPose {
+fn bent(deformer: &Deformer, degrees: f64) -> PoseRecipe {
     let pose = HandlePose {
         translation: Some(DVec3::new(0.0, 0.0, -1.0)),
         ..HandlePose::rotation([0.0, degrees.to_radians(), 0.0])
     };
     let poses = deformer.change_poses(&deformer.initial_poses(), [("high", pose)]);
-    SolvedPose {
+    PoseRecipe {
         poses: poses.expect("poses"),
         settings: SolveSettings::default(),
     }
@@ -45,12 +45,16 @@ fn bent(deformer: &Deformer, degrees: f64) -> SolvedPose {
 
 fn solve(
     deformer: &mut Deformer,
-    starts: &[SolvedPose],
-    pose: &SolvedPose,
+    starts: &[PoseRecipe],
+    pose: &PoseRecipe,
     mode: SolveMode,
     exec: &Exec<'_>,
 ) -> ModelShape {
-    let solved = deformer.solve_from(starts, pose, mode, exec, &mut |_| true);
+    let chain = PoseChain {
+        starts: starts.to_vec(),
+        pose: pose.clone(),
+    };
+    let solved = deformer.solve_from(&chain, mode, exec, &mut |_| true);
     solved.expect("solved")
 }
 
@@ -113,6 +117,10 @@ fn a_method_without_fits_is_refused() {
     let start = bent(&deformer, 30.0);
     let mut pose = bent(&deformer, 60.0);
     pose.settings.method = Method::SpatialRbf;
-    let solved = deformer.solve_from(&[start], &pose, SolveMode::Commit, &exec, &mut |_| true);
+    let chain = PoseChain {
+        starts: vec![start],
+        pose,
+    };
+    let solved = deformer.solve_from(&chain, SolveMode::Commit, &exec, &mut |_| true);
     assert!(matches!(solved, Err(Error::Invalid { field, .. }) if field == "options.method"));
 }

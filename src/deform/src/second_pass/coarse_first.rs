@@ -55,7 +55,7 @@ impl PoseSolve<'_> {
         let (handles, body, exec) = (self.handles, self.body, self.exec);
         let system = &handles.positions.system;
         exec.progress.begin_pass("load");
-        let is_warm = self.request.start.is_last();
+        let is_warm = self.request.start == SolveStart::Warm;
         let resumed = (is_warm && state.extra.len() == body.nodes()).then(|| fit.resume(&state.extra, exec.pool));
         let first = resumed.map(|turns| std::mem::replace(&mut posed.frames, fit.frames(&turns, exec.pool)));
         self.load_rows(fit, posed, state);

@@ -137,6 +137,7 @@ impl PoseSolve<'_> {
         }
         Ok(stats)
     }
+
     /// What the equations lack at the place of `state.x`, in which points pull as they are.
     fn lack(&self, posed: &mut PosedHandles, state: &mut SolveState) -> Result<Vec<f64>, Error> {
         self.assemble(posed, state);
@@ -171,7 +172,7 @@ impl PoseSolve<'_> {
         sliding.project(&mut along);
         let mut along = once(&sliding.system, &along)?;
         sliding.project(&mut along);
-        way.iter_mut().zip(along).for_each(|(way, along)| *way += along);
+        add_to(&mut way, &along, 1.0);
         Ok(way)
     }
 
@@ -200,28 +201,19 @@ impl PoseSolve<'_> {
                 .map_or(0.0, |(_, gained)| ((gain - dot(&way, &before)) / gained).max(0.0));
             let mut step = way;
             if let Some((last, _)) = &last {
-                step.iter_mut()
-                    .zip(last)
-                    .for_each(|(step, last)| *step += beyond * last);
+                add_to(&mut step, last, beyond);
             }
             let here = state.x.clone();
-            state.x.iter_mut().zip(&step).for_each(|(x, step)| *x += step);
+            add_to(&mut state.x, &step, 1.0);
             let there = self.lack(posed, state)?;
-            let curvature: f64 = step
-                .iter()
-                .zip(lack.iter().zip(&there))
-                .map(|(s, (a, b))| s * (a - b))
-                .sum();
-            let length = dot(&step, &lack) / curvature;
+            let downhill = dot(&step, &lack);
+            let curvature = downhill - dot(&step, &there);
+            let length = downhill / curvature;
+            state.x = here;
             if !(curvature > 0.0 && length.is_finite()) {
-                state.x = here;
                 break;
             }
-            state
-                .x
-                .iter_mut()
-                .zip(here.iter().zip(&step))
-                .for_each(|(x, (here, step))| *x = here + length * step);
+            add_to(&mut state.x, &step, length);
             before.copy_from_slice(&lack);
             lack.iter_mut()
                 .zip(&there)
@@ -230,4 +222,9 @@ impl PoseSolve<'_> {
         }
         Ok(())
     }
+}
+
+/// Adds a multiple of a vector to another.
+fn add_to(sum: &mut [f64], vector: &[f64], by: f64) {
+    sum.iter_mut().zip(vector).for_each(|(sum, v)| *sum += by * v);
 }

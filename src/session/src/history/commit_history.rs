@@ -8,7 +8,9 @@ use crate::history::session_state::CommitList;
 use crate::history::session_state::{
     CommittedHandles, EditedState, HandleSetId, PosedState, RecordedShapeId, SessionState, ShapeRecipe,
 };
-use pliant_core::engine::{Error, HandlePose, HandlePoses, HandleSet, ModelShape, SolvedPose, TopologyState};
+use pliant_core::engine::{
+    Error, HandlePose, HandlePoses, HandleSet, ModelShape, PoseChain, PoseRecipe, TopologyState,
+};
 use pliant_wire::{add_found_turns, pb};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
@@ -217,14 +219,13 @@ impl CommitHistory {
     /// for.
     pub fn commit_pose(&mut self, posed: PosedState) {
         let PosedState {
-            pose,
-            starts,
+            chain,
             warnings,
             found_turns,
             shape,
             digest,
         } = posed;
-        let poses = pose.poses.clone();
+        let poses = chain.pose.poses.clone();
         let mut state = self.current().clone();
         if !found_turns.is_empty() || state.facts.handles.iter().any(|h| !h.found_turn.is_empty()) {
             add_found_turns(&mut Arc::make_mut(&mut state.facts).handles, &found_turns);
@@ -232,8 +233,7 @@ impl CommitHistory {
         let recipe = ShapeRecipe::Solved {
             topology: state.topology.clone(),
             handles: Arc::clone(&state.handles),
-            starts,
-            pose,
+            chain: Arc::new(chain),
         };
         let shape = self.record_shape(recipe, shape);
         let state = SessionState {
@@ -255,11 +255,13 @@ impl CommitHistory {
             Some(settings) => ShapeRecipe::Solved {
                 topology,
                 handles: Arc::clone(&handles),
-                starts: Vec::new(),
-                pose: SolvedPose {
-                    poses: edited.poses.clone(),
-                    settings,
-                },
+                chain: Arc::new(PoseChain {
+                    starts: Vec::new(),
+                    pose: PoseRecipe {
+                        poses: edited.poses.clone(),
+                        settings,
+                    },
+                }),
             },
         };
         let state = SessionState {
@@ -349,7 +351,7 @@ impl CommitHistory {
     ///
     /// # Errors
     /// [`Error::Invalid`] for a revision that cannot be gone to, one of other handles or another model, and one with too many starts.
-    pub fn starts_from(&self, revision: Option<u64>) -> Result<Vec<SolvedPose>, Error> {
+    pub fn starts_from(&self, revision: Option<u64>) -> Result<Vec<PoseRecipe>, Error> {
         let Some(revision) = revision else {
             return Ok(Vec::new());
         };
@@ -369,22 +371,19 @@ impl CommitHistory {
         };
         let recipe = self.recipe(state.shape);
         let has_handles = |handles: &CommittedHandles| handles.id == now.handles.id;
-        let mut path = match recipe {
-            ShapeRecipe::Rest { .. } if has_handles(&state.handles) && is_same_model => Vec::new(),
-            ShapeRecipe::Solved {
-                handles, starts, pose, ..
-            } if has_handles(&handles) && is_same_model => starts.into_iter().chain([pose]).collect(),
+        let path: Vec<PoseRecipe> = match recipe {
+            ShapeRecipe::Rest { .. } if has_handles(&state.handles) && is_same_model => vec![PoseRecipe {
+                poses: state.poses.clone(),
+                ..PoseRecipe::default()
+            }],
+            ShapeRecipe::Solved { handles, chain, .. } if has_handles(&handles) && is_same_model => {
+                chain.starts.iter().chain([&chain.pose]).cloned().collect()
+            }
             _ => {
                 let problem = "whose shape was solved with other handles, or of another model; handles and model must be those of now";
                 return Err(refused(problem.into()));
             }
         };
-        if path.is_empty() {
-            path.push(SolvedPose {
-                poses: state.poses.clone(),
-                ..SolvedPose::default()
-            });
-        }
         match path.len() {
             0..=MOST_STARTS => Ok(path),
             count => Err(refused(format!(
@@ -413,7 +412,7 @@ impl CommitHistory {
             handle_bytes(&state)
         };
         let starts = match self.shapes.get(&state.shape).map(|shape| &shape.recipe) {
-            Some(ShapeRecipe::Solved { starts, .. }) => starts.as_slice(),
+            Some(ShapeRecipe::Solved { chain, .. }) => chain.starts.as_slice(),
             _ => &[],
         };
         let poses = starts.iter().map(|start| &start.poses).chain([&state.poses]);

@@ -25,8 +25,7 @@ fn history(limit: usize, snapshot_bytes: u64) -> CommitHistory {
 fn pose(history: &mut CommitHistory, x: f64) {
     let shape = ModelShape::from_positions(Arc::new(vec![DVec3::splat(x); 10]));
     history.commit_pose(PosedState {
-        pose: SolvedPose::default(),
-        starts: Vec::new(),
+        chain: PoseChain::default(),
         warnings: Vec::new(),
         found_turns: Vec::new(),
         shape: Some(shape),

@@ -10,8 +10,8 @@ use crate::history::session_state::{
 use crate::stream::frame_window::{FrameContext, ms_of};
 use glam::DVec3;
 use pliant_core::engine::{
-    Deformer, ESTIMATED_MEMORY, EditCommand, Error, HandlePoses, HandleSet, ModelShape, Shader, Shading, SolveMode,
-    SolveUpdate, SolvedPose, TopologyState, digest,
+    Deformer, ESTIMATED_MEMORY, EditCommand, Error, HandlePoses, HandleSet, ModelShape, PoseChain, PoseRecipe, Shader,
+    Shading, SolveMode, SolveUpdate, TopologyState, digest,
 };
 use pliant_core::mesh::carry::LocalGradients;
 use pliant_exec::Exec;
@@ -141,7 +141,7 @@ impl LoadedDeformer {
             _ => self.solve_recipe(recipe, exec)?,
         };
         let settings = match recipe {
-            ShapeRecipe::Solved { pose, .. } => Some(&pose.settings),
+            ShapeRecipe::Solved { chain, .. } => Some(&chain.pose.settings),
             ShapeRecipe::Rest { .. } => None,
         };
         let command = EditCommand {
@@ -235,18 +235,13 @@ impl LoadedDeformer {
     pub fn solve_for_commit(
         &mut self,
         seq: u64,
-        poses: HandlePoses,
-        starts: Vec<SolvedPose>,
+        chain: PoseChain,
         options: &DeformOptions,
         frames: &FrameContext,
         work: &Work<'_>,
     ) -> Result<PoseAnswer, Error> {
         let exec = &work.exec();
-        let pose = SolvedPose {
-            poses,
-            settings: options.solve,
-        };
-        let solved = self.solve(&starts, &pose, SolveMode::Commit, exec, &mut |_| true)?;
+        let solved = self.solve(&chain, SolveMode::Commit, exec, &mut |_| true)?;
         let solve_time = work.watch.elapsed();
         let mut frame = self.last_frame(seq, options, frames, &solved);
         let mut warnings = Vec::new();
@@ -254,7 +249,7 @@ impl LoadedDeformer {
         if let Some(deformer) = self.engine.deformer() {
             let quality = deformer.measure(&solved.positions, options.output.self_intersections, exec)?;
             frame.header.quality = Some(quality_message(&quality));
-            let noticed = deformer.shape_warnings(&solved.positions, &pose.poses, &pose.settings, exec)?;
+            let noticed = deformer.shape_warnings(&solved.positions, &chain.pose.poses, &chain.pose.settings, exec)?;
             warnings = noticed.iter().map(warning_message).collect();
         }
         frame.header.solve_ms = ms_of(solve_time);
@@ -263,8 +258,7 @@ impl LoadedDeformer {
             commit: Some(PosedState {
                 warnings,
                 found_turns: frame.header.found_turns.clone(),
-                pose,
-                starts,
+                chain,
                 digest: digest(&solved.positions),
                 shape: Some(solved),
             }),
@@ -312,19 +306,19 @@ impl LoadedDeformer {
         is_wanted.then(|| Arc::new(self.shader().shade(positions)))
     }
 
-    /// Solves a pose with the handles in force, from the shape of the last of `starts` where there are any.
+    /// Solves a pose with the handles in force.
     pub fn solve(
         &mut self,
-        starts: &[SolvedPose],
-        pose: &SolvedPose,
+        chain: &PoseChain,
         mode: SolveMode,
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
     ) -> Result<ModelShape, Error> {
         exec.check()?;
-        let solved = match starts {
-            [] => (self.engine).solve(&pose.poses, &pose.settings, mode, exec, watch)?,
-            _ => (self.deformer("going on from a shape")?).solve_from(starts, pose, mode, exec, watch)?,
+        let PoseRecipe { poses, settings } = &chain.pose;
+        let solved = match chain.starts[..] {
+            [] => (self.engine).solve(poses, settings, mode, exec, watch)?,
+            _ => (self.deformer("going on from a shape")?).solve_from(chain, mode, exec, watch)?,
         };
         report_solve(solved.stats.cycles, solved.stats.residual, solved.positions.len());
         Ok(solved)
@@ -340,11 +334,10 @@ impl LoadedDeformer {
             ShapeRecipe::Solved {
                 topology,
                 handles,
-                starts,
-                pose,
+                chain,
             } => {
                 self.load_state(topology.as_ref(), handles, exec)?;
-                self.solve(starts, pose, SolveMode::Commit, exec, &mut |_| true)
+                self.solve(chain, SolveMode::Commit, exec, &mut |_| true)
             }
         }
     }

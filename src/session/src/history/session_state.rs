@@ -3,7 +3,7 @@
 //! The list of commits, in shared pieces: each change of the session publishes its history, and must not copy ten
 //! thousand commits for one.
 
-use pliant_core::engine::{HandlePoses, HandleSet, ModelShape, SolveSettings, SolvedPose, TopologyState};
+use pliant_core::engine::{HandlePoses, HandleSet, ModelShape, PoseChain, SolveSettings, TopologyState};
 use pliant_wire::pb;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -65,9 +65,7 @@ impl SessionState {
 /// A pose that was solved, to be committed.
 #[derive(Debug, Clone)]
 pub(crate) struct PosedState {
-    pub pose: SolvedPose,
-    /// What its fits have gone on from, the oldest first.
-    pub starts: Vec<SolvedPose>,
+    pub chain: PoseChain,
     /// What a user should know of them.
     pub warnings: Vec<pb::Warning>,
     /// The rotations that were found for them.
@@ -96,12 +94,11 @@ pub(crate) struct EditedState {
 pub(crate) enum ShapeRecipe {
     /// It is the rest shape.
     Rest { topology: Option<TopologyState> },
-    /// It is the solution of a pose, whose fits go on from the shape of the last of `starts`.
+    /// It is the solution of a pose.
     Solved {
         topology: Option<TopologyState>,
         handles: Arc<CommittedHandles>,
-        starts: Vec<SolvedPose>,
-        pose: SolvedPose,
+        chain: Arc<PoseChain>,
     },
 }
 

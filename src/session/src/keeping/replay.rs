@@ -146,15 +146,14 @@ impl Replay<'_> {
                 self.history.commit_handles(set.clone(), poses.clone(), facts);
             }
             LoggedCommit::Pose {
-                pose,
-                starts,
+                chain,
                 warnings,
                 found_turns,
                 probe,
                 ..
             } => {
                 let state = self.history.current().clone();
-                if pose.poses.0.len() != state.handles.set.handles.len() {
+                if chain.pose.poses.0.len() != state.handles.set.handles.len() {
                     return Err(damaged(format!(
                         "commit {} has poses of other handles",
                         stored.sequence
@@ -166,16 +165,14 @@ impl Replay<'_> {
                     let recipe = ShapeRecipe::Solved {
                         topology: state.topology.clone(),
                         handles: Arc::clone(&state.handles),
-                        starts: starts.clone(),
-                        pose: pose.clone(),
+                        chain: Arc::new(chain.clone()),
                     };
                     let solved = self.deformer.solve_recipe(&recipe, self.exec)?;
                     now = self.compare(stored, probe, &solved.positions, state.diagonal)?;
                     shape = Some(solved);
                 }
                 self.history.commit_pose(PosedState {
-                    pose: pose.clone(),
-                    starts: starts.clone(),
+                    chain: chain.clone(),
                     warnings: warnings.clone(),
                     found_turns: found_turns.clone(),
                     shape,
@@ -297,8 +294,7 @@ mod tests {
 
     fn commit(sequence: u64, target: Option<u64>) -> Commit {
         let pose = LoggedCommit::Pose {
-            pose: Default::default(),
-            starts: Vec::new(),
+            chain: Default::default(),
             warnings: Vec::new(),
             found_turns: Vec::new(),
             probe: ShapeProbe::default(),

@@ -22,7 +22,9 @@ use crate::task::session_task::{SessionTask, no_handles};
 use glam::DVec3;
 use pliant_asset::WrittenFiles;
 use pliant_core::engine;
-use pliant_core::engine::{Animation, ClipSource, Deformer, ModelShape, RigOrder, TopologyState, left_out_of_rig};
+use pliant_core::engine::{
+    Animation, ClipSource, Deformer, ModelShape, PoseChain, PoseRecipe, RigOrder, TopologyState, left_out_of_rig,
+};
 use pliant_exec::Exec;
 use pliant_exec::progress::Progress as _;
 use pliant_mesh::CrossingPairs;
@@ -209,7 +211,12 @@ impl RunCall for PoseCommit {
                     queued: work.queued,
                     part_bytes,
                 };
-                let mut answer = deformer.solve_for_commit(seq, poses, starts, &options, &frames, work)?;
+                let pose = PoseRecipe {
+                    poses,
+                    settings: options.solve,
+                };
+                let chain = PoseChain { starts, pose };
+                let mut answer = deformer.solve_for_commit(seq, chain, &options, &frames, work)?;
                 answer.frame = answer.frame.for_new_reader();
                 Ok::<_, engine::Error>(answer)
             })

@@ -16,10 +16,11 @@ use crate::stream::waiting_poses::{DraggedPoses, PoseEntries, WaitingPose};
 use crate::task::commands::lane_of_commit;
 use crate::task::session_task::{SessionTask, no_handles};
 use pliant_core::engine::{
-    self, COMMIT_REFINE, HandlePose, HandlePoses, Quality, SolveMode, SolveUpdate, SolvedPose, TopologyState,
+    self, COMMIT_REFINE, HandlePose, HandlePoses, PoseChain, PoseRecipe, Quality, SolveMode, SolveSettings,
+    SolveUpdate, TopologyState,
 };
 use pliant_wire::frames::Frame;
-use pliant_wire::{DeformOptions, origin_of};
+use pliant_wire::origin_of;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -38,7 +39,7 @@ struct TurnContext {
     state: SessionState,
     frames: FrameContext,
     /// What poses that wait go on from, by revision.
-    starts: BTreeMap<u64, Result<Vec<SolvedPose>, engine::Error>>,
+    starts: BTreeMap<u64, Result<Vec<PoseRecipe>, engine::Error>>,
     /// The longest solve.
     longest: Duration,
 }
@@ -288,10 +289,10 @@ impl TurnContext {
                 revision: self.frames.revision + 1,
                 ..self.frames.clone()
             };
-            let starts = self.starts_of(&pose.settings);
-            starts.and_then(|starts| deformer.solve_for_commit(pose.seq, merged, starts, &pose.settings, &frames, work))
+            let chain = self.chain(merged, &pose.settings.solve, pose.settings.from_revision);
+            chain.and_then(|chain| deformer.solve_for_commit(pose.seq, chain, &pose.settings, &frames, work))
         } else {
-            self.solve_drag(deformer, &merged, &pose, work)
+            self.solve_drag(deformer, merged, &pose, work)
         };
         Ok(Some(SolvedTurn {
             seq: pose.seq,
@@ -300,10 +301,21 @@ impl TurnContext {
         }))
     }
 
-    /// What the pose of these options goes on from.
-    fn starts_of(&self, options: &DeformOptions) -> Result<Vec<SolvedPose>, engine::Error> {
-        let starts = options.from_revision.and_then(|from| self.starts.get(&from));
-        starts.cloned().unwrap_or_else(|| Ok(Vec::new()))
+    /// A pose, with what it goes on from.
+    fn chain(
+        &self,
+        poses: HandlePoses,
+        settings: &SolveSettings,
+        from: Option<u64>,
+    ) -> Result<PoseChain, engine::Error> {
+        let starts = from.and_then(|from| self.starts.get(&from));
+        Ok(PoseChain {
+            starts: starts.cloned().unwrap_or_else(|| Ok(Vec::new()))?,
+            pose: PoseRecipe {
+                poses,
+                settings: *settings,
+            },
+        })
     }
 
     /// Solves a pose that is dragged. It starts from the last result, takes the best one in time, sends intermediate frames
@@ -311,7 +323,7 @@ impl TurnContext {
     fn solve_drag(
         &self,
         deformer: &mut LoadedDeformer,
-        poses: &HandlePoses,
+        poses: HandlePoses,
         pose: &WaitingPose,
         work: &Work<'_>,
     ) -> Result<PoseAnswer, engine::Error> {
@@ -321,14 +333,13 @@ impl TurnContext {
             Duration::try_from_secs_f64(ms / 1e3).unwrap_or(self.longest)
         });
         let budget = asked.min(self.longest);
-        let (mode, refine, starts) = match settings.fits_coarse_first {
-            true => (SolveMode::Anew, COMMIT_REFINE, self.starts_of(settings)?),
-            false => (SolveMode::Drag, 0, Vec::new()),
+        let (mode, refine) = match settings.fits_coarse_first {
+            true => (SolveMode::Anew, COMMIT_REFINE),
+            false => (SolveMode::Drag, 0),
         };
-        let solved_pose = SolvedPose {
-            poses: poses.clone(),
-            settings: settings.solve,
-        };
+        // A drag goes on from the frame before.
+        let from = settings.from_revision.filter(|_| settings.fits_coarse_first);
+        let chain = self.chain(poses, &settings.solve, from)?;
         let refine = settings.solve.quality.refine.unwrap_or(refine);
         let mut on_cycle = |now: &SolveUpdate<'_>| {
             // Refinement goes on from frame to frame, so a newer pose loses nothing by cutting it short.
@@ -349,7 +360,7 @@ impl TurnContext {
             }
             true
         };
-        let solved = deformer.solve(&starts, &solved_pose, mode, &work.exec(), &mut on_cycle)?;
+        let solved = deformer.solve(&chain, mode, &work.exec(), &mut on_cycle)?;
         let solve_time = watch.elapsed();
         let mut frame = deformer.last_frame(pose.seq, settings, &self.frames, &solved);
         frame.header.solve_ms = ms_of(solve_time);

@@ -8,7 +8,8 @@ use crate::frames::{FrameEncoding, FrameOutput};
 use crate::{Error, SessionEdit, handle_pose, handle_pose_message, handle_set, handle_set_message, pb, session_edit};
 use glam::DVec3;
 use pliant_core::engine::{
-    Contact, DefaultPivot, HandlePose, HandlePoses, HandleSet, Method, Quality, Recipe, SolveSettings, SolvedPose,
+    Contact, DefaultPivot, HandlePose, HandlePoses, HandleSet, Method, PoseChain, PoseRecipe, Quality, Recipe,
+    SolveSettings,
 };
 use pliant_deform::FitOrder;
 use prost::Message as _;
@@ -73,10 +74,8 @@ pub enum LoggedCommit {
     },
     /// A pose was solved.
     Pose {
-        /// The poses of all handles, and how they were solved.
-        pose: SolvedPose,
-        /// What its fits have gone on from, the oldest first.
-        starts: Vec<SolvedPose>,
+        /// The poses of all handles, how they were solved, and what from.
+        chain: PoseChain,
         /// What was noticed.
         warnings: Vec<pb::Warning>,
         /// The rotations that were found.
@@ -146,8 +145,7 @@ impl LoggedCommit {
                 about_joints: set.default_pivot == DefaultPivot::Joint,
             }),
             Self::Pose {
-                pose,
-                starts,
+                chain: PoseChain { starts, pose },
                 warnings,
                 found_turns,
                 probe,
@@ -204,10 +202,12 @@ impl LoggedCommit {
                 facts: recorded(handles.facts, "facts")?,
             },
             CommitKindMessage::Pose(pose) => Self::Pose {
-                pose: recorded_pose(&pose.poses, pose.settings.as_ref())?,
-                starts: (pose.starts.iter())
-                    .map(|start| recorded_pose(&start.poses, start.settings.as_ref()))
-                    .collect::<Result<_, _>>()?,
+                chain: PoseChain {
+                    starts: (pose.starts.iter())
+                        .map(|start| recorded_pose(&start.poses, start.settings.as_ref()))
+                        .collect::<Result<_, _>>()?,
+                    pose: recorded_pose(&pose.poses, pose.settings.as_ref())?,
+                },
                 warnings: pose.warnings,
                 probe: pose.probe.unwrap_or_default(),
                 frame: (pose.frame)
@@ -255,15 +255,15 @@ fn recorded_poses(messages: &[pb::HandlePose]) -> Result<HandlePoses, Error> {
     Ok(HandlePoses(poses?.into()))
 }
 
-fn start_message(start: &SolvedPose) -> StartMessage {
+fn start_message(start: &PoseRecipe) -> StartMessage {
     StartMessage {
         poses: pose_messages(&start.poses),
         settings: Some(settings_message(&start.settings)),
     }
 }
 
-fn recorded_pose(poses: &[pb::HandlePose], settings: Option<&SettingsMessage>) -> Result<SolvedPose, Error> {
-    Ok(SolvedPose {
+fn recorded_pose(poses: &[pb::HandlePose], settings: Option<&SettingsMessage>) -> Result<PoseRecipe, Error> {
+    Ok(PoseRecipe {
         poses: recorded_poses(poses)?,
         settings: recorded_settings(settings.ok_or_else(|| missing("settings"))?)?,
     })
