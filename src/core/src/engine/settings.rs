@@ -236,6 +236,14 @@ pub struct PoseChain {
     pub pose: PoseRecipe,
 }
 
+impl PoseChain {
+    /// Poses that are solved with `settings`, from the last of `starts`.
+    pub fn of(starts: Vec<PoseRecipe>, poses: HandlePoses, settings: SolveSettings) -> Self {
+        let pose = PoseRecipe { poses, settings };
+        Self { starts, pose }
+    }
+}
+
 /// What a deformer may hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DeformerLimits {

@@ -255,13 +255,7 @@ impl CommitHistory {
             Some(settings) => ShapeRecipe::Solved {
                 topology,
                 handles: Arc::clone(&handles),
-                chain: Arc::new(PoseChain {
-                    starts: Vec::new(),
-                    pose: PoseRecipe {
-                        poses: edited.poses.clone(),
-                        settings,
-                    },
-                }),
+                chain: Arc::new(PoseChain::of(Vec::new(), edited.poses.clone(), settings)),
             },
         };
         let state = SessionState {

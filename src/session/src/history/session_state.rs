@@ -3,10 +3,12 @@
 //! The list of commits, in shared pieces: each change of the session publishes its history, and must not copy ten
 //! thousand commits for one.
 
+use crate::stream::frame_window::FrameContext;
 use pliant_core::engine::{HandlePoses, HandleSet, ModelShape, PoseChain, SolveSettings, TopologyState};
-use pliant_wire::pb;
+use pliant_wire::{origin_of, pb};
 use std::collections::VecDeque;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// This number names a shape of one session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -53,6 +55,18 @@ impl SessionState {
     /// Render vertices of the model.
     pub fn vertices(&self) -> u32 {
         self.facts.model.as_ref().map_or(0, |m| m.vertices)
+    }
+
+    /// What frames of poses in this state share, sent as of `revision` after work that waited `queued`, in parts of so many bytes.
+    pub fn frame_context(&self, revision: u64, queued: Duration, part_bytes: usize) -> FrameContext {
+        FrameContext {
+            revision,
+            topology: self.topology.as_ref().map(TopologyState::id),
+            diagonal: self.diagonal,
+            origin: origin_of(&self.facts),
+            queued,
+            part_bytes,
+        }
     }
 
     /// About how many points are looked at when `handles` are set in this state.

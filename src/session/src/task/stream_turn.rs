@@ -16,11 +16,9 @@ use crate::stream::waiting_poses::{DraggedPoses, PoseEntries, WaitingPose};
 use crate::task::commands::lane_of_commit;
 use crate::task::session_task::{SessionTask, no_handles};
 use pliant_core::engine::{
-    self, COMMIT_REFINE, HandlePose, HandlePoses, PoseChain, PoseRecipe, Quality, SolveMode, SolveSettings,
-    SolveUpdate, TopologyState,
+    self, COMMIT_REFINE, HandlePose, HandlePoses, PoseChain, PoseRecipe, Quality, SolveMode, SolveSettings, SolveUpdate,
 };
 use pliant_wire::frames::Frame;
-use pliant_wire::origin_of;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -81,14 +79,7 @@ impl SessionTask {
         };
         let ran = self
             .compute(order, move |deformer, work| {
-                let frames = FrameContext {
-                    revision,
-                    topology: state.topology.as_ref().map(TopologyState::id),
-                    diagonal: state.diagonal,
-                    origin: origin_of(&state.facts),
-                    queued: work.queued,
-                    part_bytes,
-                };
+                let frames = state.frame_context(revision, work.queued, part_bytes);
                 let turn = TurnContext {
                     mailbox: stream,
                     state,
@@ -309,13 +300,8 @@ impl TurnContext {
         from: Option<u64>,
     ) -> Result<PoseChain, engine::Error> {
         let starts = from.and_then(|from| self.starts.get(&from));
-        Ok(PoseChain {
-            starts: starts.cloned().unwrap_or_else(|| Ok(Vec::new()))?,
-            pose: PoseRecipe {
-                poses,
-                settings: *settings,
-            },
-        })
+        let starts = starts.cloned().unwrap_or_else(|| Ok(Vec::new()))?;
+        Ok(PoseChain::of(starts, poses, *settings))
     }
 
     /// Solves a pose that is dragged. It starts from the last result, takes the best one in time, sends intermediate frames
