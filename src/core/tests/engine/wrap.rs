@@ -158,6 +158,38 @@ fn landmarks_lead_and_the_result_stays_in_place_where_that_is_asked_for() {
     assert_eq!(stayed.report.wrap, outcome.report.wrap, "it is the same fit");
 }
 
+/// A limb along x, so thick, whose middle is so high.
+fn limb(thickness: f64, height: f64) -> Surface {
+    let (points, triangles) = shapes::icosphere(1.0, 4);
+    let place = |p: DVec3| p * DVec3::new(1.0, thickness, thickness) + DVec3::Y * height;
+    (points.into_iter().map(place).collect(), triangles)
+}
+
+#[test]
+fn a_thin_limb_that_lies_near_one_side_of_a_thick_one_becomes_it_all_round() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let options = OpenOptions::default();
+    let limits = DeformerLimits::default();
+    let mut deformer = Deformer::open(file_of(&limb(0.08, 0.2)), &options, &limits, &exec).expect("a model");
+    let end = |x: f64| WrapLandmark {
+        own: LandmarkPlace::Point(DVec3::new(x, 0.2, 0.0)),
+        target: LandmarkPlace::Point(DVec3::new(x, 0.0, 0.0)),
+    };
+    let top = WrapLandmark {
+        own: LandmarkPlace::Point(DVec3::new(0.0, 0.3, 0.0)),
+        target: LandmarkPlace::Point(DVec3::new(0.0, 0.3, 0.0)),
+    };
+    let command = WrapCommand {
+        landmarks: vec![end(-1.0), end(1.0), top],
+        ..wrap_of(file_of(&limb(0.3, 0.0)))
+    };
+    let outcome = wrapped(&mut deformer, command, &exec).expect("wrapped");
+    let told = outcome.report.wrap.expect("a report");
+    assert!(told.to_target.p95 < 2e-3 && told.from_target.p95 < 3e-3, "{told:?}");
+    assert_eq!(told.flipped_triangles, 0);
+}
+
 #[test]
 fn the_bits_do_not_depend_on_threads_and_an_earlier_state_comes_back() {
     let run = |threads: usize| {

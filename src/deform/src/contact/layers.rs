@@ -324,7 +324,10 @@ impl<'a> PartedSurface<'a> {
         let triangles = &mesh.triangles;
         let normals = smooth_normals(mesh, positions, 0);
         let tree = TriangleBvh::build(positions, triangles, exec.pool);
-        let of_node = tree.labels_of_nodes(|t| part[triangles[t as usize][0] as usize]);
+        let of_node = tree.fold_nodes(
+            |t| Some(part[triangles[t as usize][0] as usize]),
+            |a, b| if a == b { a } else { None },
+        );
         Self {
             positions,
             triangles,

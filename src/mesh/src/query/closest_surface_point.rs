@@ -118,20 +118,19 @@ impl TriangleBvh<'_> {
         })
     }
 
-    /// The label that all triangles below each node have; `None` where they have several.
-    pub fn labels_of_nodes(&self, label: impl Fn(u32) -> u32) -> Vec<Option<u32>> {
-        let mut labels: Vec<Option<u32>> = Vec::with_capacity(self.nodes.len());
+    /// For each node of the tree, what its triangles and the nodes below it come to, joined in the order of the tree.
+    pub fn fold_nodes<T: Copy>(&self, of_triangle: impl Fn(u32) -> T, join: impl Fn(T, T) -> T) -> Vec<T> {
+        let mut folded: Vec<T> = Vec::with_capacity(self.nodes.len());
         for (index, node) in self.nodes.iter().enumerate() {
-            let below = node.first as usize..(node.first + node.count) as usize;
             let of = |child: usize| match index < self.leaves {
-                true => Some(label(self.order[child])),
-                false => labels[child],
+                true => of_triangle(self.order[child]),
+                false => folded[child],
             };
-            let first = of(below.start);
-            let same = below.skip(1).all(|child| of(child) == first);
-            labels.push(first.filter(|_| same));
+            let first = node.first as usize;
+            let others = first + 1..first + node.count as usize;
+            folded.push(others.map(of).fold(of(first), &join));
         }
-        labels
+        folded
     }
 
     /// Returns whether any triangle is nearer than `radius`.
@@ -220,7 +219,7 @@ impl TriangleBvh<'_> {
 }
 
 /// The corner of a triangle that is closest to `point`; of equally close ones the smallest.
-pub(crate) fn corner_near(positions: &[DVec3], [a, b, c]: [u32; 3], point: DVec3) -> u32 {
+pub fn corner_near(positions: &[DVec3], [a, b, c]: [u32; 3], point: DVec3) -> u32 {
     let distance = |v: u32| positions[v as usize].distance_squared(point);
     let nearer = |x: u32, y: u32| if (distance(y), y) < (distance(x), x) { y } else { x };
     nearer(nearer(a, b), c)

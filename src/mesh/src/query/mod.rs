@@ -13,7 +13,6 @@ mod visits;
 
 pub use bvh::TriangleBvh;
 pub use closest_point::NearestPoints;
-pub(crate) use closest_surface_point::{NearVisitor, corner_near};
-pub use closest_surface_point::{SegmentHit, SurfacePoint};
+pub use closest_surface_point::{NearVisitor, SegmentHit, SurfacePoint, corner_near};
 pub use triangle_cells::TriangleCells;
 pub use visits::{QueryStop, VisitBudget, VisitCount};

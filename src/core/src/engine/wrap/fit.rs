@@ -1,5 +1,6 @@
 //! The fit itself: targets that follow the closest points, pulled harder from level to level.
 
+use super::facing::{FacingTree, Reach};
 use super::normals::smooth_normals;
 use super::queries::answers;
 use super::target::TargetSurface;
@@ -26,8 +27,11 @@ pub(super) const STEPS: usize = 4;
 const LANDMARKS: [f64; 2] = [20.0, 8.0];
 /// A closest point counts within this share of the diagonal, at the first step and at the last.
 const FARTHEST: [f64; 2] = [0.15, 0.01];
-/// And where the normals are less than 70° apart.
-const LEAST_COSINE: f64 = 0.34;
+/// What normals that are a radian apart count as when closest points are looked for, in parts of how far one may be: at the first
+/// step, where limbs are of other thickness, and at the last, where the surfaces lie on each other.
+const TURNS: [f64; 2] = [1.5, 0.1];
+/// The first level at which the template is a surface alone. Before, its inside keeps legs and necks from being folded flat.
+const SURFACE_FROM: usize = 1;
 /// What a mean of pulls from the target weighs beside the vertex's own.
 const FROM_TARGET: f64 = 0.8;
 /// Closest points are looked for from so many times the last step ahead of each vertex. Surfaces slide along each other slowly,
@@ -102,7 +106,12 @@ impl<'a> WrapFit<'a> {
             triangles,
             shares: shares_of_area(mesh),
             diagonal: mesh.bounds().diagonal(),
-            solver: FitSolver::new(mesh.clone(), task, &Exec::new(exec.pool, &WithinStep(exec.progress)))?,
+            solver: FitSolver::new(
+                mesh.clone(),
+                task,
+                true,
+                &Exec::new(exec.pool, &WithinStep(exec.progress)),
+            )?,
             now: mesh.positions.clone(),
             ahead: mesh.positions.clone(),
         })
@@ -130,12 +139,16 @@ impl<'a> WrapFit<'a> {
             if level > 0 && step % STEPS == 0 {
                 let mut mesh = self.task.template.clone();
                 mesh.positions.clone_from(&self.now);
-                self.solver = FitSolver::new(mesh, self.task, exec)?;
+                self.solver = FitSolver::new(mesh, self.task, level < SURFACE_FROM, exec)?;
             }
             let within = self.diagonal * between(FARTHEST, along);
-            let mut wanted = self.closest_points(within, exec)?;
+            let reach = Reach {
+                within,
+                turn: within * between(TURNS, along),
+            };
+            let mut wanted = self.closest_points(reach, exec)?;
             if level >= TWO_WAY_FROM {
-                self.add_pulls_from_target(&mut wanted, within, exec)?;
+                self.add_pulls_from_target(&mut wanted, reach, exec)?;
             }
             for (vertex, wanted) in wanted.iter_mut().enumerate() {
                 wanted.weight *= LEVELS[level] * self.shares[vertex];
@@ -157,28 +170,28 @@ impl<'a> WrapFit<'a> {
         Ok(())
     }
 
-    /// Where the target is closest to each vertex.
-    fn closest_points(&self, within: f64, exec: &Exec<'_>) -> Result<Vec<Wanted>, Error> {
+    /// Where the target is closest to each vertex and faces the same way.
+    fn closest_points(&self, reach: Reach, exec: &Exec<'_>) -> Result<Vec<Wanted>, Error> {
         let normals = smooth_normals(&self.now, &self.task.template.triangles);
+        let facing = FacingTree::new(&self.tree, &self.target.normals);
         let of = |vertex: usize| {
-            if !self.pulled[vertex] {
+            let from = self.ahead[vertex];
+            if !self.pulled[vertex] || self.target.ends_at(&self.tree, from, reach.within) {
                 return Wanted::default();
             }
-            let Some(found) = self.target.closest(&self.tree, self.ahead[vertex], within) else {
-                return Wanted::default();
-            };
-            let cosine = normals[vertex].dot(found.normal);
-            let is_sure = cosine >= LEAST_COSINE && !found.on_border;
-            Wanted {
-                place: found.point,
-                weight: if is_sure { cosine } else { 0.0 },
+            match facing.closest(from, normals[vertex], reach) {
+                Some(found) if !self.target.has_border_at(found.triangle, found.point) => Wanted {
+                    place: found.point,
+                    weight: found.cosine,
+                },
+                _ => Wanted::default(),
             }
         };
         answers(&self.tree, self.now.len(), exec, of)
     }
 
-    fn add_pulls_from_target(&self, wanted: &mut [Wanted], within: f64, exec: &Exec<'_>) -> Result<(), Error> {
-        let pulls = pulls_from_target(self.target, &self.now, &self.triangles, within, exec)?;
+    fn add_pulls_from_target(&self, wanted: &mut [Wanted], reach: Reach, exec: &Exec<'_>) -> Result<(), Error> {
+        let pulls = pulls_from_target(self.target, &self.now, &self.triangles, reach, exec)?;
         for (vertex, pull) in pulls.into_iter().filter(|(v, _)| self.pulled[*v as usize]) {
             let own = &mut wanted[vertex as usize];
             let weight = own.weight + FROM_TARGET;
@@ -235,9 +248,9 @@ struct FitSolver {
 }
 
 impl FitSolver {
-    fn new(rest: Mesh, task: &WrapTask<'_>, exec: &Exec<'_>) -> Result<Self, Error> {
+    fn new(rest: Mesh, task: &WrapTask<'_>, with_inside: bool, exec: &Exec<'_>) -> Result<Self, Error> {
         let options = BodyOptions {
-            volume: VolumeMode::Off,
+            volume: if with_inside { VolumeMode::Auto } else { VolumeMode::Off },
             ..task.body.clone()
         };
         let body = DeformableBody::build(&rest, &options, exec)?;

@@ -3,10 +3,11 @@
 //! at every vertex in place of affine maps).
 //!
 //! `surface` makes a `task` of what is asked for, `run` does it: a `similarity` puts the target over the template, by landmarks or by the shapes (`place`). `fit` solves for landmarks alone, and then for closest
-//! points, pulled harder from level to level; `target` says which of them count, `visible` what can be seen, `two_way` what of
-//! the target pulls the template. `report` measures.
+//! points that face the same way (`facing`), pulled harder from level to level; `target` knows where the scan ends, `visible` what can
+//! be seen, `two_way` what of the target pulls the template. `report` measures.
 
 mod command;
+mod facing;
 mod fit;
 mod normals;
 mod place;

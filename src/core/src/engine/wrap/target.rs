@@ -21,17 +21,9 @@ pub(super) struct TargetSurface {
     pub seen: Vec<[u32; 3]>,
     /// By vertex, pointing outside.
     pub normals: Vec<DVec3>,
-    /// By vertex, whether a border of the surface goes through it: an edge of one triangle that is seen.
+    /// By vertex, whether a border of the surface goes through it: an edge of one triangle that is seen. There the surface may go on
+    /// where nothing was scanned.
     on_border: Vec<bool>,
-}
-
-/// What is closest to a point.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct ClosestPlace {
-    pub point: DVec3,
-    pub normal: DVec3,
-    /// Whether it is on a border, so that the surface may go on where nothing was scanned.
-    pub on_border: bool,
 }
 
 impl TargetSurface {
@@ -95,21 +87,18 @@ impl TargetSurface {
         TriangleBvh::build(&self.mesh.positions, &self.seen, exec.pool)
     }
 
-    /// What is closest to a point, within a distance.
-    pub fn closest(&self, tree: &TriangleBvh<'_>, point: DVec3, within: f64) -> Option<ClosestPlace> {
-        let found = tree.closest_point_within(point, within)?;
-        let corners = self.seen[found.triangle as usize];
-        let weights = barycentric(found.point, corners.map(|v| self.mesh.positions[v as usize]));
-        let normal: DVec3 = (0..3).map(|k| self.normals[corners[k] as usize] * weights[k]).sum();
-        // On an edge or a corner whose ends are on the border.
+    /// Whether what is closest to a point, within a distance, is on a border.
+    pub fn ends_at(&self, tree: &TriangleBvh<'_>, point: DVec3, within: f64) -> bool {
+        let closest = tree.closest_point_within(point, within);
+        closest.is_some_and(|found| self.has_border_at(found.triangle, found.point))
+    }
+
+    /// Whether a place of one of the triangles that are seen is on an edge or a corner whose ends are on the border.
+    pub fn has_border_at(&self, triangle: u32, place: DVec3) -> bool {
+        let corners = self.seen[triangle as usize];
+        let weights = barycentric(place, corners.map(|v| self.mesh.positions[v as usize]));
         let is_outer = |k: usize| weights[k] > ON_EDGE;
-        let on_border =
-            (0..3).all(|k| !is_outer(k) || self.on_border[corners[k] as usize]) && (0..3).any(|k| !is_outer(k));
-        Some(ClosestPlace {
-            point: found.point,
-            normal: normal.normalize_or_zero(),
-            on_border,
-        })
+        (0..3).all(|k| !is_outer(k) || self.on_border[corners[k] as usize]) && (0..3).any(|k| !is_outer(k))
     }
 
     /// Whether a vertex is on a border.
