@@ -1,10 +1,11 @@
 //! The bytes behind buffers and buffer views, wherever they are kept, and what URIs name. Nothing is ever fetched or opened.
 
-use super::compressed;
+use super::compressed::ViewCoding;
 use super::container::GltfFault;
 use super::document::GltfDocument;
 use super::schema::{BufferView, GltfAccessor};
 use super::stored::{BufferOrigin, StoredBuffer};
+use crate::apart::{DecodedPlace, ParserCalls};
 use crate::files::ReadWatch;
 use crate::{Error, FileSet};
 use base64::Engine as _;
@@ -13,6 +14,7 @@ use base64::engine::DecodePaddingMode;
 use base64::engine::general_purpose::{GeneralPurpose, GeneralPurposeConfig};
 use bytes::Bytes;
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, percent_decode_str, utf8_percent_encode};
+use pliant_exec::progress::Silent;
 use std::borrow::Cow;
 use std::cell::OnceCell;
 use std::collections::BTreeSet;
@@ -20,6 +22,7 @@ use std::collections::BTreeSet;
 impl<'a> GltfDocument<'a> {
     /// Finds the bytes of every buffer.
     pub(super) fn load_bytes(mut self, files: &FileSet, watch: Option<&ReadWatch<'a>>) -> Result<Self, Error> {
+        self.bytes.apart = self.bytes.apart.or_else(|| watch?.apart);
         self.bytes.watch = watch.cloned();
         self.bytes.decoded = vec![OnceCell::new(); self.views.len()];
         for i in 0..self.buffers.len() {
@@ -101,16 +104,30 @@ impl<'a> GltfDocument<'a> {
         if let Some(bytes) = cell.and_then(OnceCell::get) {
             return Ok(bytes);
         }
-        // The filters make a second copy of what the codec gives.
         let bytes = compression.count.0.saturating_mul(compression.byte_stride.0);
-        self.bytes.reserve(bytes.saturating_mul(2))?;
+        // The filters make a second copy of what the codec gives. Another process holds these and the source, beside what comes back.
+        let beside = match self.bytes.apart {
+            None => bytes,
+            Some(_) => bytes.saturating_mul(2).saturating_add(compression.byte_length.0),
+        };
+        self.bytes.reserve(bytes.saturating_add(beside))?;
         let source = self.bytes_of(
             compression.buffer.index(),
             compression.offset(),
             compression.byte_length.0,
-        );
-        let decoded = compressed::decode(source?, compression, &format!("bufferViews/{index}"), self.fault)?;
-        self.bytes.release(bytes);
+        )?;
+        let place = format!("bufferViews/{index}");
+        let coding = ViewCoding::of(compression, source.len() as u64, &place, self.fault)?;
+        let mut calls = self.bytes.calls.borrow_mut();
+        if let (None, Some(starter)) = (&*calls, self.bytes.apart) {
+            *calls = Some(ParserCalls::start(starter, self.fault.0)?);
+        }
+        let at = DecodedPlace {
+            place: &format!("{place}/extensions/meshopt_compression"),
+            progress: self.bytes.watch.as_ref().map_or(&Silent, ReadWatch::progress),
+        };
+        let decoded = coding.decode_at(source, at, self.fault, calls.as_mut())?;
+        self.bytes.release(beside);
         Ok(cell.map_or(&[], |cell| cell.get_or_init(|| decoded)))
     }
 

@@ -83,6 +83,7 @@ mod used_bytes;
 pub(super) use buffers::media_type_of;
 pub(super) use buffers::of_file_name as uri_of_name;
 pub(super) use builder::GlbWriter;
+pub(super) use compressed::{DECODER as MESHOPT_DECODER, answer as answer_meshopt};
 pub(super) use document::{GLB_FORMAT, GLTF_FORMAT};
 pub(super) use extensions::extension_table;
 pub(super) use fresh::unit_normals;

@@ -63,7 +63,9 @@ impl GltfNotes {
 
     /// The document of the model with the bytes of its buffers.
     pub(super) fn loaded_document<'a>(&'a self, model: &'a Model) -> Result<GltfDocument<'a>, Error> {
-        self.document(model)?.load_bytes(self.files(model), None)
+        let mut document = self.document(model)?;
+        document.bytes.apart = model.apart;
+        document.load_bytes(self.files(model), None)
     }
 }
 

@@ -1,9 +1,10 @@
 //! The bytes of buffers, where they are kept, and what of them is decompressed.
 
 use crate::Error;
+use crate::apart::{ParserCalls, ParserStarter};
 use crate::files::ReadWatch;
 use bytes::Bytes;
-use std::cell::{Cell, OnceCell};
+use std::cell::{Cell, OnceCell, RefCell};
 
 /// Where a buffer's bytes are kept.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -33,6 +34,10 @@ pub(super) struct BufferBytes<'w> {
     pub(super) decoded: Vec<OnceCell<Vec<u8>>>,
     /// Allows the bytes of what is decoded; without it they are not counted.
     pub(super) watch: Option<ReadWatch<'w>>,
+    /// What starts the process that decompresses; without it, views are decompressed in this one.
+    pub(super) apart: Option<ParserStarter>,
+    /// That process, once it was needed.
+    pub(super) calls: RefCell<Option<ParserCalls>>,
     /// Bytes that are reserved for what is decoded.
     reserved: Cell<u64>,
 }

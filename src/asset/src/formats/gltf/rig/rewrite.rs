@@ -20,6 +20,7 @@ use super::super::text::{index_of, list_of, string_of, value_at, value_of, with_
 use super::super::used_bytes::ByteSpans;
 use super::nodes::{MovedNode, MovedNodes};
 use super::{BindChanges, FollowedNodeTree};
+use crate::apart::ParserStarter;
 use crate::files::within;
 use crate::{Error, FollowedCounts, Format, WrittenFiles};
 use glam::{DQuat, DVec3};
@@ -30,11 +31,19 @@ use std::collections::{BTreeMap, BTreeSet};
 const MOST_REWRITTEN: u64 = 1 << 30;
 
 impl FollowedNodeTree {
-    /// Puts the moved nodes into files that were written as if none had moved, and counts the clips that change.
-    fn rewrite(&self, written: WrittenFiles, format: Format) -> Result<WrittenFiles, Error> {
+    /// Puts the moved nodes into files that were written as if none had moved, and counts the clips that change. `apart` is where their
+    /// views are decompressed.
+    fn rewrite(
+        &self,
+        written: WrittenFiles,
+        format: Format,
+        apart: Option<ParserStarter>,
+    ) -> Result<WrittenFiles, Error> {
         let files = written.into_files("");
         let parsed = parse_written(&files, format)?;
-        let doc = parsed.of(&files)?.load_bytes(&files, None)?;
+        let mut doc = parsed.of(&files)?;
+        doc.bytes.apart = apart;
+        let doc = doc.load_bytes(&files, None)?;
         let mut writer = RigWriter {
             uses: accessor_uses(&doc),
             spans: ByteSpans::collect(&doc),
@@ -86,7 +95,7 @@ pub(in super::super) fn finish<'t>(
     tally.count_into(&mut followed);
     let mut written = written;
     if let Some(tree) = tree {
-        written = tree.rewrite(written, format)?;
+        written = tree.rewrite(written, format, doc.bytes.apart)?;
         tree.count_into(doc, &mut followed);
         followed.rewritten_clips = written.followed.rewritten_clips;
     }
