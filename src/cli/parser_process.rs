@@ -56,7 +56,7 @@ mod confined {
     /// Gives up what decoding does not need, then decodes until no more calls come.
     pub(in super::super) fn answer() -> ExitCode {
         // What a panic would print and look up, it may not.
-        std::panic::set_hook(Box::new(|_| {}));
+        std::panic::set_hook(Box::new(|_| std::process::abort()));
         let answered = || -> io::Result<()> {
             let socket = File::from(io::stdin().as_fd().try_clone_to_owned()?);
             let held = confine(&socket)?;

@@ -146,7 +146,7 @@ async fn a_process_that_fails_refuses_its_file_and_nothing_else() {
     for (fault, why) in [
         ("crash", "signal 6: it failed, or took more memory than is allowed"),
         ("memory", "signal 6: it failed, or took more memory than is allowed"),
-        ("panic", "failed (exit status: 101)"),
+        ("panic", "signal 6: it failed, or took more memory than is allowed"),
         ("open", "signal 31: it asked the system for what it may not do"),
         ("write", "signal 31: it asked the system for what it may not do"),
     ] {
