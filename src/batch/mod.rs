@@ -89,7 +89,7 @@ pub fn run_and_write(
     exec: &Exec<'_>,
     millis: &(dyn Fn() -> f64 + Sync),
 ) -> Result<BatchOutcome, Error> {
-    let options = DeformOptions::check(&job.pose_options(), "options", u32::MAX)?;
+    let options = checked_options(job)?;
     job.expect.as_ref().map_or(Ok(()), |expect| expect.check("expect"))?;
     let todo = steps_of(job)?;
     check_begin(job, &todo)?;
@@ -180,6 +180,18 @@ pub fn run_and_write(
         unmet,
         unchecked,
     })
+}
+
+/// How the poses of a job are solved.
+fn checked_options(job: &pb::Job) -> Result<DeformOptions, Error> {
+    let options = DeformOptions::check(&job.pose_options(), "options", u32::MAX)?;
+    match options.from_revision {
+        None => Ok(options),
+        Some(_) => {
+            let problem = "names a commit of a session, which a job does not have; leave it out";
+            Err(Error::invalid("options.fromRevision", problem))
+        }
+    }
 }
 
 /// A job under way.

@@ -8,7 +8,9 @@ use crate::targets::sessions::{JOB_LIMITS, box_file};
 use crate::targets::{self, TARGETS};
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits, Model, sample};
-use pliant::engine::{Deformer, Handle, HandlePose, HandlePoses, HandleSet, OpenOptions, Region, SolveSettings};
+use pliant::engine::{
+    Deformer, Handle, HandlePose, HandlePoses, HandleSet, OpenOptions, PoseChain, PoseRecipe, Region, SolveSettings,
+};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -308,8 +310,13 @@ fn commits() -> Vec<Vec<u8>> {
             facts: facts.clone(),
         },
         LoggedCommit::Pose {
-            poses: poses.clone(),
-            settings: SolveSettings::default(),
+            chain: PoseChain {
+                starts: vec![PoseRecipe::default()],
+                pose: PoseRecipe {
+                    poses: poses.clone(),
+                    settings: SolveSettings::default(),
+                },
+            },
             warnings: Vec::new(),
             found_turns: Vec::new(),
             probe: probe.clone(),

@@ -250,6 +250,11 @@ async fn ranges_of_requests_are_kept() {
             solve(json!({"refine": 0})),
             solve(json!({"refine": 1001})),
         ),
+        (
+            "fromRevision of a solve",
+            solve(json!({"fromRevision": "3"})),
+            solve(json!({"fromRevision": "1000"})),
+        ),
     ];
     // Passengers are counted where a model of so many primitives is at hand.
     let known = ["passengers of a session or job", "window of a stream"];

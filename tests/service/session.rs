@@ -10,6 +10,7 @@ mod life;
 mod limits;
 mod real;
 mod refused_memory;
+mod starts;
 mod store_faults;
 mod stream;
 mod targets;

@@ -67,6 +67,16 @@ pub enum SolveStart {
     /// The last solution of the [`SolveState`](crate::SolveState), or the rest shape when there is none, carried along with the
     /// handles.
     Warm,
+    /// The same, where what counts is the shape: fits begin with the rotations that fit best where it was carried to, and the pose is
+    /// solved as exactly as from nothing.
+    Shape,
+}
+
+impl SolveStart {
+    /// Whether it is the last solution.
+    pub(crate) fn is_last(self) -> bool {
+        self != Self::Fresh
+    }
 }
 
 /// Where fits of rotations begin.

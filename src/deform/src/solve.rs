@@ -63,9 +63,9 @@ impl HandleSystem {
                 done => return done,
             }
         }
-        match request.start {
-            SolveStart::Warm => state.rows.hand_over(body, &mut state.x),
-            SolveStart::Fresh => state.rows.let_go(),
+        match request.start.is_last() {
+            true => state.rows.hand_over(body, &mut state.x),
+            false => state.rows.let_go(),
         }
         exec.progress.begin_pass("blend");
         let first = FirstRotations::of(body, self, request, exec.pool);
@@ -122,7 +122,7 @@ impl PoseSolve<'_> {
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
     ) -> Result<SolvedNodes, Error> {
         let (handles, body, request, pool) = (self.handles, self.body, self.request, self.exec.pool);
-        let warm = request.start == SolveStart::Warm;
+        let warm = request.start.is_last();
         if self.smooths_borders() {
             state.borders = BorderFrames::default();
         }
@@ -224,8 +224,9 @@ impl PoseSolve<'_> {
         tally: &mut SolveTally<'_>,
     ) -> Result<pliant_solver::SolveStats, Error> {
         let (handles, body, request, pool) = (self.handles, self.body, self.request, self.exec.pool);
-        let (steps, carried) = (request.steps(), request.fits == FitOrder::Carried);
-        let warm = request.start == SolveStart::Warm;
+        let steps = request.steps();
+        let carried = request.fits == FitOrder::Carried || request.start == SolveStart::Shape;
+        let warm = request.start.is_last();
         let mut turns = match fit {
             Some(fit) if warm && state.extra.len() == body.nodes() => {
                 let turns = resumed(fit, carried, state, pool);

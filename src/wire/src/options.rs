@@ -21,6 +21,8 @@ pub struct DeformOptions {
     pub progressive: bool,
     /// Whether poses of a stream are solved from nothing, fits from the coarse levels on, as commits are.
     pub fits_coarse_first: bool,
+    /// The commit from whose shape fits go on.
+    pub from_revision: Option<u64>,
     /// What frames carry.
     pub output: FrameOutput,
     /// Unacknowledged frames in flight.
@@ -35,6 +37,7 @@ impl DeformOptions {
             budget_ms: None,
             progressive: false,
             fits_coarse_first: false,
+            from_revision: None,
             output: FrameOutput::default(),
             window: 2.min(max_window.max(1)),
         }
@@ -114,6 +117,7 @@ impl DeformOptions {
             budget_ms,
             progressive: options.progressive,
             fits_coarse_first: fit == pb::options::Fit::CoarseFirst,
+            from_revision: options.from_revision,
             output: FrameOutput {
                 normals: output.normals,
                 tangents: output.tangents,

@@ -120,6 +120,18 @@ export class Sheet {
     await this.page.keyboard.press(name);
   }
 
+  /** Undoes, and waits until the page says what that was: until then it takes no other step. */
+  async undo() {
+    await this.page.evaluate(() => document.querySelectorAll(".notice").forEach((note) => (note.dataset.seen = "")));
+    await this.key("Control+z");
+    await this.page.locator(".notice:not([data-seen])", { hasText: "Undone" }).waitFor();
+  }
+
+  /** Takes a tool by its button: keys such as G begin at once. */
+  async tool(name) {
+    await this.page.locator(".rail").getByRole("button", { name, exact: false }).click();
+  }
+
   /** Drags the mouse along places, in some steps between each. */
   async drag(places, { steps = 12, pause = 0, holding = [] } = {}) {
     const { mouse, keyboard } = this.page;

@@ -3,9 +3,12 @@
 use super::fake::*;
 use pliant::asset::FileSet;
 use pliant::engine::{Handle, HandlePose, HandleSet, Region};
-use pliant::session::{Manager, SessionConfig};
+use pliant::session::store::StoreLocation;
+use pliant::session::{Manager, OpenDeformer, SessionConfig};
 use pliant::wire::frames::{FrameOutput, encode};
 use pliant::wire::{DeformOptions, PoseCommit, StreamRequest, pb};
+use std::path::Path;
+use std::sync::Arc;
 
 /// An upright bar of square section, closed, with the handles `base` (held) and `top`.
 pub fn bar_files() -> FileSet {
@@ -36,6 +39,17 @@ pub fn bar_files() -> FileSet {
         rings * 4 + 4
     );
     FileSet::single("bar.obj", text.into_bytes())
+}
+
+/// A manager of real engines whose sessions are kept in a folder.
+pub async fn manager_of(folder: &Path) -> Manager {
+    let location = StoreLocation {
+        build: Some("one".into()),
+        ..StoreLocation::in_folder(folder)
+    };
+    let store = Arc::new(store_at(&location).await);
+    let manager = Manager::with_store(SessionConfig::default(), OpenDeformer, store).await;
+    manager.expect("a store")
 }
 
 /// A session with a bar and its handles.

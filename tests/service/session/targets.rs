@@ -1,26 +1,13 @@
 //! Handles with targets: in parts along a stream, committed, undone, and kept in a store.
 
 use super::fake::*;
-use super::real::{bar_files, bent_in};
+use super::real::{bar_files, bent_in, manager_of};
 use pliant::engine::{Anchor, AnchorCorners, EditedShape, Handle, HandlePose, HandleSet, Region, VertexTargets};
-use pliant::session::store::StoreLocation;
-use pliant::session::{Manager, OpenDeformer, SessionConfig};
+use pliant::session::Manager;
 use pliant::wire::{PoseCommit, SessionEdit, StreamRequest, pb, session_edit};
-use std::path::Path;
-use std::sync::Arc;
 
 /// Vertices of the bar.
 const COUNT: usize = 52;
-
-async fn manager_of(folder: &Path) -> Manager {
-    let location = StoreLocation {
-        build: Some("one".into()),
-        ..StoreLocation::in_folder(folder)
-    };
-    let store = Arc::new(store_at(&location).await);
-    let manager = Manager::with_store(SessionConfig::default(), OpenDeformer, store).await;
-    manager.expect("a store")
-}
 
 async fn scanned(manager: &Manager) -> Fixture {
     let fixture = bent_in(manager).await;

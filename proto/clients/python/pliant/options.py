@@ -39,6 +39,8 @@ class SolveFields(TypedDict, total=False):
     contact: Literal["ignore", "avoid"]
     #: What surfaces that have crossed keep from each other, model units, with contact "avoid".
     clearance: float
+    #: The revision of a commit from whose shape re-fits go on, instead of from nothing: in commits, and with fit "coarse_first".
+    from_revision: int
     #: Frames also carry normals.
     normals: bool
     #: Frames also carry tangents.
@@ -57,7 +59,7 @@ class SolveFields(TypedDict, total=False):
     window: int
 
 
-_PLAIN = ("tolerance", "max_error", "budget_ms", "progressive", "refine", "rotation_smoothing", "clearance", "window")
+_PLAIN = ("tolerance", "max_error", "budget_ms", "progressive", "refine", "rotation_smoothing", "clearance", "from_revision", "window")
 _OUTPUT = ("normals", "tangents", "changed_only", "self_intersections", "gradients")
 
 

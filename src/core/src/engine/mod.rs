@@ -98,8 +98,8 @@ pub use region::{Anchor, AnchorCorners, Plane, Region, VertexRange};
 pub use riding::CarriedNode;
 pub use riding_file::RidingFile;
 pub use settings::{
-    COMMIT_REFINE, CarriedModel, Contact, DeformerLimits, KeptApart, OpenOptions, Passenger, PassengerKind, Recipe,
-    SolveMode, SolveSettings,
+    COMMIT_REFINE, CarriedModel, Contact, DeformerLimits, KeptApart, OpenOptions, Passenger, PassengerKind, PoseChain,
+    PoseRecipe, Recipe, SolveMode, SolveSettings,
 };
 pub use shape::{FoundTurn, ModelShape, Shader, Shading, ShapeId, TopologyId, digest, shading};
 pub use solve::Drag;

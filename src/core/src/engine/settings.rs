@@ -1,8 +1,11 @@
 //! How a model is opened and how its poses are solved, what a deformer may hold, and what it carries along.
 
 use super::error::{ESTIMATED_MEMORY, Error};
+use super::handle::HandlePoses;
 use crate::asset::{self, FileSet, Following, Format};
-use crate::deform::{self, BodyOptions, CoarseOperators, FitOrder, FreePartPolicy, Quality, TieOptions, VolumeMode};
+use crate::deform::{
+    self, BodyOptions, CoarseOperators, FitOrder, FreePartPolicy, Quality, SolveStart, TieOptions, VolumeMode,
+};
 use crate::graph::VolumeOptions;
 use crate::mesh::Weld;
 use crate::progress::Progress;
@@ -203,6 +206,42 @@ pub enum SolveMode {
     Anew,
     /// Depends on model, handles, poses and settings alone, so that repeated results are bit-identical.
     Commit,
+}
+
+impl SolveMode {
+    /// Where a pose starts that goes on from no other pose's shape.
+    pub(super) fn start(self) -> SolveStart {
+        match self {
+            Self::Drag => SolveStart::Warm,
+            Self::Anew | Self::Commit => SolveStart::Fresh,
+        }
+    }
+}
+
+/// Poses of all handles, and how they are solved.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct PoseRecipe {
+    /// The poses.
+    pub poses: HandlePoses,
+    /// How they are solved.
+    pub settings: SolveSettings,
+}
+
+/// A pose with those that it goes on from.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct PoseChain {
+    /// The poses from whose shapes fits go on in turn, the oldest first; none: they begin from nothing.
+    pub starts: Vec<PoseRecipe>,
+    /// The pose.
+    pub pose: PoseRecipe,
+}
+
+impl PoseChain {
+    /// Poses that are solved with `settings`, from the last of `starts`.
+    pub fn of(starts: Vec<PoseRecipe>, poses: HandlePoses, settings: SolveSettings) -> Self {
+        let pose = PoseRecipe { poses, settings };
+        Self { starts, pose }
+    }
 }
 
 /// What a deformer may hold.

@@ -18,7 +18,9 @@ use crate::engine::handle::{HandlePose, HandlePoses};
 use crate::engine::resolved_handles::check_free_rotation;
 use crate::engine::riding::RidingVertices;
 use crate::engine::riding_frames::RidingFrames;
-use crate::engine::settings::{COMMIT_REFINE, Contact, DeformerLimits, HeldBeside, Recipe, SolveMode, SolveSettings};
+use crate::engine::settings::{
+    COMMIT_REFINE, Contact, DeformerLimits, HeldBeside, PoseChain, PoseRecipe, Recipe, SolveMode, SolveSettings,
+};
 use crate::engine::shape::{ModelShape, ShapeId};
 use crate::exec::Exec;
 use crate::mesh::carry::{CarrySurface, LocalGradients};
@@ -137,6 +139,51 @@ impl Deformer {
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
     ) -> Result<ModelShape, Error> {
+        let pose = PoseRecipe {
+            poses: poses.clone(),
+            settings: *settings,
+        };
+        self.solve_begun(&pose, mode, mode.start(), exec, watch)
+    }
+
+    /// As [`Deformer::solve`], but fits go on from the shape of other poses of the same handles. All of the chain are solved in turn, so the
+    /// result depends on nothing that was solved before. `watch` sees the last one alone.
+    ///
+    /// # Errors
+    /// Those of [`Deformer::solve`]; [`Error::Invalid`] for [`Method::SpatialRbf`], which goes on from no shape.
+    pub fn solve_from(
+        &mut self,
+        chain: &PoseChain,
+        mode: SolveMode,
+        exec: &Exec<'_>,
+        watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
+    ) -> Result<ModelShape, Error> {
+        let PoseChain { starts, pose } = chain;
+        if starts.is_empty() {
+            return self.solve_begun(pose, mode, mode.start(), exec, watch);
+        }
+        if pose.settings.method == Method::SpatialRbf {
+            let problem = "is SPATIAL_RBF, which goes on from no shape; GRAPH is allowed";
+            return Err(Error::invalid("options.method", problem));
+        }
+        self.state.reset();
+        let mut start = SolveStart::Fresh;
+        for before in starts {
+            self.solve_begun(before, SolveMode::Commit, start, exec, &mut |_| true)?;
+            start = SolveStart::Shape;
+        }
+        self.solve_begun(pose, mode, start, exec, watch)
+    }
+
+    fn solve_begun(
+        &mut self,
+        pose: &PoseRecipe,
+        mode: SolveMode,
+        start: SolveStart,
+        exec: &Exec<'_>,
+        watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
+    ) -> Result<ModelShape, Error> {
+        let PoseRecipe { poses, settings } = pose;
         let mut transforms = self.transforms(poses)?;
         self.check_request(settings, mode, exec)?;
         let free = self.handles.turning_freely(&poses.0);
@@ -162,10 +209,10 @@ impl Deformer {
         let mut found = None;
         if !free.is_empty() {
             exec.progress.begin_pass("turn");
-            let request = pose_request(&transforms, settings, mode, &[]);
+            let request = pose_request(&transforms, settings, mode, mode.start(), &[]);
             (transforms, found) = handle_system.find_turns(body, &request, &free, state, exec)?;
         }
-        let request = pose_request(&transforms, settings, mode, derived.framed_nodes());
+        let request = pose_request(&transforms, settings, mode, start, derived.framed_nodes());
         let shape = ShapeTransfer {
             body,
             mesh: &derived.mesh,
@@ -254,11 +301,12 @@ fn pose_request<'a>(
     transforms: &'a [Transform],
     settings: &SolveSettings,
     mode: SolveMode,
+    start: SolveStart,
     framed: &'a [u32],
 ) -> PoseRequest<'a> {
-    let (start, refine, extent) = match mode {
-        SolveMode::Drag => (SolveStart::Warm, 0, SolutionExtent::Surface(framed)),
-        SolveMode::Anew | SolveMode::Commit => (SolveStart::Fresh, COMMIT_REFINE, SolutionExtent::Graph),
+    let (refine, extent) = match mode {
+        SolveMode::Drag => (0, SolutionExtent::Surface(framed)),
+        SolveMode::Anew | SolveMode::Commit => (COMMIT_REFINE, SolutionExtent::Graph),
     };
     PoseRequest {
         transforms,

@@ -19,6 +19,7 @@ mod passengers;
 mod skinning;
 mod splat_models;
 mod splats;
+mod starts;
 mod surface_files;
 mod surface_points;
 mod transfer;

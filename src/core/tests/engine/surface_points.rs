@@ -219,6 +219,17 @@ fn tangential_targets_let_a_plate_slide_in_its_plane() {
     // Without a normal a vertex is wanted at its target.
     let none = solved(1.0, DVec3::ZERO, Some(DVec3::ZERO));
     assert!(farthest(&none, &stuck) < 1e-3, "{}", farthest(&none, &stuck));
+    // However stiff the planes are, they hold nothing along them.
+    let stiff = Handle {
+        tangential: 1.0,
+        ..Handle::with_targets("scan", all(&deformer), 100.0)
+    };
+    deformer.set_handles([stiff], &exec).expect("right handles");
+    let targets = VertexTargets::of(rest.iter().map(|p| single(*p + DVec3::Z * (0.5 * p.x + 0.2))));
+    let targets = targets.across(rest.iter().map(|_| single(normal)));
+    let rigid = commit(&mut deformer, targets, &exec).positions;
+    assert!(stretch(&rigid) < 5e-3, "{}", stretch(&rigid));
+    assert!(above(&rigid) < 5e-3, "{}", above(&rigid));
 }
 
 #[test]

@@ -293,7 +293,7 @@ impl PositionSystems {
         let stiffness = position.stiffness();
         let positions = match ready {
             Some(system) => ConstrainedSystem { fixed, system },
-            None => constrained(body, fixed, stiffness.as_deref(), exec.pool)?,
+            None => ConstrainedSystem::of(body, fixed, stiffness.as_deref(), exec.pool)?,
         };
         let loose: Vec<&HandleConstraint> = setup.handles.iter().filter(|h| h.is_loosely_rigid()).collect();
         let stiff = StiffParts::settle(body, &setup.stiff, position, covered);
@@ -303,7 +303,7 @@ impl PositionSystems {
             let mut fixed = positions.fixed.clone();
             let held = loose.iter().flat_map(|h| &h.nodes);
             held.chain(stiff.all_nodes()).for_each(|&n| fixed[n as usize] = true);
-            Some(constrained(body, fixed, stiffness.as_deref(), exec.pool)?)
+            Some(ConstrainedSystem::of(body, fixed, stiffness.as_deref(), exec.pool)?)
         };
         Ok(Self {
             positions,
@@ -313,18 +313,14 @@ impl PositionSystems {
     }
 }
 
-fn constrained(
-    body: &DeformableBody,
-    fixed: Vec<bool>,
-    stiffness: Option<&[f64]>,
-    pool: &Pool,
-) -> Result<ConstrainedSystem, Error> {
-    let system = body.hierarchy.constrain(
-        &Constraints {
+impl ConstrainedSystem {
+    /// The body's Laplacian with some nodes given, and by node a stiffness on the diagonal of others.
+    pub fn of(body: &DeformableBody, fixed: Vec<bool>, stiffness: Option<&[f64]>, pool: &Pool) -> Result<Self, Error> {
+        let constraints = Constraints {
             fixed: &fixed,
             stiffness,
-        },
-        pool,
-    )?;
-    Ok(ConstrainedSystem { fixed, system })
+        };
+        let system = body.hierarchy.constrain(&constraints, pool)?;
+        Ok(Self { fixed, system })
+    }
 }

@@ -31,7 +31,8 @@ impl PoseSolve<'_> {
     pub(crate) fn may_begin_coarse(&self, first: &FirstRotations<'_>, fit: &RotationFit<'_>) -> bool {
         let request = self.request;
         // A warm pose with targets goes on from where the last one was: its fits are fast, and on the graph alone.
-        (request.start == SolveStart::Fresh || self.handles.places.has_targets())
+        let is_drag_to_targets = request.start == SolveStart::Warm && self.handles.places.has_targets();
+        (request.start == SolveStart::Fresh || is_drag_to_targets)
             && request.fits == FitOrder::CoarseFirst
             && !first.is_animation
             && fit.is_plain()

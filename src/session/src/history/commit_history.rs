@@ -8,13 +8,18 @@ use crate::history::session_state::CommitList;
 use crate::history::session_state::{
     CommittedHandles, EditedState, HandleSetId, PosedState, RecordedShapeId, SessionState, ShapeRecipe,
 };
-use pliant_core::engine::{HandlePose, HandlePoses, HandleSet, ModelShape, TopologyState};
+use pliant_core::engine::{
+    Error, HandlePose, HandlePoses, HandleSet, ModelShape, PoseChain, PoseRecipe, TopologyState,
+};
 use pliant_wire::{add_found_turns, pb};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 /// Bytes of handles and poses that one session's commits may hold; the oldest are folded before there are more.
 const LOG_BYTES: u64 = 64 << 20;
+
+/// Shapes at most that a pose goes on from, each from the one before it: all are solved again for it.
+const MOST_STARTS: usize = 16;
 
 /// Bytes of a recorded pose of one handle, about.
 const POSE_BYTES: u64 = 256;
@@ -214,13 +219,13 @@ impl CommitHistory {
     /// for.
     pub fn commit_pose(&mut self, posed: PosedState) {
         let PosedState {
-            poses,
+            chain,
             warnings,
             found_turns,
-            settings,
             shape,
             digest,
         } = posed;
+        let poses = chain.pose.poses.clone();
         let mut state = self.current().clone();
         if !found_turns.is_empty() || state.facts.handles.iter().any(|h| !h.found_turn.is_empty()) {
             add_found_turns(&mut Arc::make_mut(&mut state.facts).handles, &found_turns);
@@ -228,8 +233,7 @@ impl CommitHistory {
         let recipe = ShapeRecipe::Solved {
             topology: state.topology.clone(),
             handles: Arc::clone(&state.handles),
-            poses: poses.clone(),
-            settings,
+            chain: Arc::new(chain),
         };
         let shape = self.record_shape(recipe, shape);
         let state = SessionState {
@@ -251,8 +255,7 @@ impl CommitHistory {
             Some(settings) => ShapeRecipe::Solved {
                 topology,
                 handles: Arc::clone(&handles),
-                poses: edited.poses.clone(),
-                settings,
+                chain: Arc::new(PoseChain::of(Vec::new(), edited.poses.clone(), settings)),
             },
         };
         let state = SessionState {
@@ -338,6 +341,53 @@ impl CommitHistory {
         self.records.front().map_or(0, |r| r.revision)
     }
 
+    /// The poses that are solved in turn for a pose of now to go on from the shape of `revision`, the oldest first; none without one.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a revision that cannot be gone to, one of other handles or another model, and one with too many starts.
+    pub fn starts_from(&self, revision: Option<u64>) -> Result<Vec<PoseRecipe>, Error> {
+        let Some(revision) = revision else {
+            return Ok(Vec::new());
+        };
+        let refused = |problem: String| Error::invalid("options.fromRevision", format!("is {revision}, {problem}"));
+        let Some(state) = self.index_of(revision).and_then(|index| self.state(index)) else {
+            let newest = self.records.back().map_or(0, |record| record.revision);
+            let problem = format!(
+                "which cannot be gone to; those of the commits from {} to {newest} can",
+                self.oldest_revision()
+            );
+            return Err(refused(problem));
+        };
+        let now = self.current();
+        let is_same_model = match (&state.topology, &now.topology) {
+            (Some(then), Some(now)) => then.is_same(now),
+            (then, now) => then.is_none() && now.is_none(),
+        };
+        let recipe = self.recipe(state.shape);
+        let has_handles = |handles: &CommittedHandles| handles.id == now.handles.id;
+        let path: Vec<PoseRecipe> = match recipe {
+            ShapeRecipe::Rest { .. } if has_handles(&state.handles) && is_same_model => vec![PoseRecipe {
+                poses: state.poses.clone(),
+                ..PoseRecipe::default()
+            }],
+            ShapeRecipe::Solved { handles, chain, .. } if has_handles(&handles) && is_same_model => {
+                chain.starts.iter().chain([&chain.pose]).cloned().collect()
+            }
+            _ => {
+                let problem = "whose shape was solved with other handles, or of another model; handles and model must be those of now";
+                return Err(refused(problem.into()));
+            }
+        };
+        match path.len() {
+            0..=MOST_STARTS => Ok(path),
+            count => Err(refused(format!(
+                "whose shape goes on from {} others in turn; allowed are {}",
+                count - 1,
+                MOST_STARTS - 1
+            ))),
+        }
+    }
+
     fn push_commit(&mut self, kind: &'static str, state: SessionState) {
         while self.records.len() > self.at + 1 {
             self.drop_newest();
@@ -355,8 +405,12 @@ impl CommitHistory {
         } else {
             handle_bytes(&state)
         };
-        let targets: usize = state.poses.0.iter().map(HandlePose::target_bytes).sum();
-        let log_bytes = handles + state.poses.0.len() as u64 * POSE_BYTES + targets as u64;
+        let starts = match self.shapes.get(&state.shape).map(|shape| &shape.recipe) {
+            Some(ShapeRecipe::Solved { chain, .. }) => chain.starts.as_slice(),
+            _ => &[],
+        };
+        let poses = starts.iter().map(|start| &start.poses).chain([&state.poses]);
+        let log_bytes = handles + poses.map(pose_bytes).sum::<u64>();
         self.held_log_bytes += log_bytes;
         if let Some(shape) = self.shapes.get_mut(&state.shape) {
             shape.uses += 1;
@@ -469,6 +523,12 @@ impl CommitHistory {
             current: self.records[self.at].revision,
         }
     }
+}
+
+/// Bytes of the poses of handles, about.
+fn pose_bytes(poses: &HandlePoses) -> u64 {
+    let targets: usize = poses.0.iter().map(HandlePose::target_bytes).sum();
+    poses.0.len() as u64 * POSE_BYTES + targets as u64
 }
 
 /// Bytes of a state's handles, about.

@@ -2,12 +2,7 @@
 
 use super::*;
 use glam::DVec3;
-use pliant_core::engine::SolveSettings;
 use proptest::prelude::*;
-
-fn settings() -> SolveSettings {
-    SolveSettings::default()
-}
 
 fn history(limit: usize, snapshot_bytes: u64) -> CommitHistory {
     let rest = ModelShape::from_positions(Arc::new(vec![DVec3::ZERO; 10]));
@@ -30,10 +25,9 @@ fn history(limit: usize, snapshot_bytes: u64) -> CommitHistory {
 fn pose(history: &mut CommitHistory, x: f64) {
     let shape = ModelShape::from_positions(Arc::new(vec![DVec3::splat(x); 10]));
     history.commit_pose(PosedState {
-        poses: HandlePoses::default(),
+        chain: PoseChain::default(),
         warnings: Vec::new(),
         found_turns: Vec::new(),
-        settings: settings(),
         shape: Some(shape),
         digest: format!("{x}"),
     });

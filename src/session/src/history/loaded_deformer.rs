@@ -10,8 +10,8 @@ use crate::history::session_state::{
 use crate::stream::frame_window::{FrameContext, ms_of};
 use glam::DVec3;
 use pliant_core::engine::{
-    Deformer, ESTIMATED_MEMORY, EditCommand, Error, HandlePoses, HandleSet, ModelShape, Shader, Shading, SolveMode,
-    SolveSettings, SolveUpdate, TopologyState, digest,
+    Deformer, ESTIMATED_MEMORY, EditCommand, Error, HandlePoses, HandleSet, ModelShape, PoseChain, PoseRecipe, Shader,
+    Shading, SolveMode, SolveUpdate, TopologyState, digest,
 };
 use pliant_core::mesh::carry::LocalGradients;
 use pliant_exec::Exec;
@@ -141,7 +141,7 @@ impl LoadedDeformer {
             _ => self.solve_recipe(recipe, exec)?,
         };
         let settings = match recipe {
-            ShapeRecipe::Solved { settings, .. } => Some(settings),
+            ShapeRecipe::Solved { chain, .. } => Some(&chain.pose.settings),
             ShapeRecipe::Rest { .. } => None,
         };
         let command = EditCommand {
@@ -230,17 +230,18 @@ impl LoadedDeformer {
     }
 
     /// Solves poses for a commit and measures them; the state's model and handles are in force. This is the one way to a
-    /// committed shape, for calls and for streams; it depends on nothing but the state, the poses and the settings.
+    /// committed shape, for calls and for streams; it depends on nothing but the state, the poses and the settings, and on what it goes
+    /// on from.
     pub fn solve_for_commit(
         &mut self,
         seq: u64,
-        poses: HandlePoses,
+        chain: PoseChain,
         options: &DeformOptions,
         frames: &FrameContext,
         work: &Work<'_>,
     ) -> Result<PoseAnswer, Error> {
         let exec = &work.exec();
-        let solved = self.solve(&poses, &options.solve, SolveMode::Commit, exec, &mut |_| true)?;
+        let solved = self.solve(&chain, SolveMode::Commit, exec, &mut |_| true)?;
         let solve_time = work.watch.elapsed();
         let mut frame = self.last_frame(seq, options, frames, &solved);
         let mut warnings = Vec::new();
@@ -248,7 +249,7 @@ impl LoadedDeformer {
         if let Some(deformer) = self.engine.deformer() {
             let quality = deformer.measure(&solved.positions, options.output.self_intersections, exec)?;
             frame.header.quality = Some(quality_message(&quality));
-            let noticed = deformer.shape_warnings(&solved.positions, &poses, &options.solve, exec)?;
+            let noticed = deformer.shape_warnings(&solved.positions, &chain.pose.poses, &chain.pose.settings, exec)?;
             warnings = noticed.iter().map(warning_message).collect();
         }
         frame.header.solve_ms = ms_of(solve_time);
@@ -257,8 +258,7 @@ impl LoadedDeformer {
             commit: Some(PosedState {
                 warnings,
                 found_turns: frame.header.found_turns.clone(),
-                poses,
-                settings: options.solve,
+                chain,
                 digest: digest(&solved.positions),
                 shape: Some(solved),
             }),
@@ -309,14 +309,17 @@ impl LoadedDeformer {
     /// Solves a pose with the handles in force.
     pub fn solve(
         &mut self,
-        poses: &HandlePoses,
-        settings: &SolveSettings,
+        chain: &PoseChain,
         mode: SolveMode,
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
     ) -> Result<ModelShape, Error> {
         exec.check()?;
-        let solved = self.engine.solve(poses, settings, mode, exec, watch)?;
+        let PoseRecipe { poses, settings } = &chain.pose;
+        let solved = match chain.starts[..] {
+            [] => (self.engine).solve(poses, settings, mode, exec, watch)?,
+            _ => (self.deformer("going on from a shape")?).solve_from(chain, mode, exec, watch)?,
+        };
         report_solve(solved.stats.cycles, solved.stats.residual, solved.positions.len());
         Ok(solved)
     }
@@ -331,11 +334,10 @@ impl LoadedDeformer {
             ShapeRecipe::Solved {
                 topology,
                 handles,
-                poses,
-                settings,
+                chain,
             } => {
                 self.load_state(topology.as_ref(), handles, exec)?;
-                self.solve(poses, settings, SolveMode::Commit, exec, &mut |_| true)
+                self.solve(chain, SolveMode::Commit, exec, &mut |_| true)
             }
         }
     }

@@ -3,10 +3,12 @@
 //! The list of commits, in shared pieces: each change of the session publishes its history, and must not copy ten
 //! thousand commits for one.
 
-use pliant_core::engine::{HandlePoses, HandleSet, ModelShape, SolveSettings, TopologyState};
-use pliant_wire::pb;
+use crate::stream::frame_window::FrameContext;
+use pliant_core::engine::{HandlePoses, HandleSet, ModelShape, PoseChain, SolveSettings, TopologyState};
+use pliant_wire::{origin_of, pb};
 use std::collections::VecDeque;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// This number names a shape of one session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -55,6 +57,18 @@ impl SessionState {
         self.facts.model.as_ref().map_or(0, |m| m.vertices)
     }
 
+    /// What frames of poses in this state share, sent as of `revision` after work that waited `queued`, in parts of so many bytes.
+    pub fn frame_context(&self, revision: u64, queued: Duration, part_bytes: usize) -> FrameContext {
+        FrameContext {
+            revision,
+            topology: self.topology.as_ref().map(TopologyState::id),
+            diagonal: self.diagonal,
+            origin: origin_of(&self.facts),
+            queued,
+            part_bytes,
+        }
+    }
+
     /// About how many points are looked at when `handles` are set in this state.
     pub fn cost_of_handles(&self, handles: &HandleSet) -> u64 {
         let nodes = self.facts.solver.as_ref().map_or(0, |s| s.graph_vertices);
@@ -65,13 +79,11 @@ impl SessionState {
 /// A pose that was solved, to be committed.
 #[derive(Debug, Clone)]
 pub(crate) struct PosedState {
-    pub poses: HandlePoses,
+    pub chain: PoseChain,
     /// What a user should know of them.
     pub warnings: Vec<pb::Warning>,
     /// The rotations that were found for them.
     pub found_turns: Vec<pb::FoundTurn>,
-    /// How they were solved.
-    pub settings: SolveSettings,
     /// `None` where it is not at hand: it is solved again when it is asked for.
     pub shape: Option<ModelShape>,
     /// Digest of its positions.
@@ -96,12 +108,11 @@ pub(crate) struct EditedState {
 pub(crate) enum ShapeRecipe {
     /// It is the rest shape.
     Rest { topology: Option<TopologyState> },
-    /// It is the solution of these poses.
+    /// It is the solution of a pose.
     Solved {
         topology: Option<TopologyState>,
         handles: Arc<CommittedHandles>,
-        poses: HandlePoses,
-        settings: SolveSettings,
+        chain: Arc<PoseChain>,
     },
 }
 

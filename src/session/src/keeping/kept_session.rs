@@ -108,14 +108,14 @@ pub(crate) fn state_facts(facts: &LoggedCommit, poses: &LoggedCommit) -> Result<
             handle_poses_message(&mut session.handles, poses);
         }
         LoggedCommit::Pose {
-            poses,
+            chain,
             warnings,
             found_turns,
             ..
         } => {
             session.warnings.extend(warnings.iter().cloned());
             add_found_turns(&mut session.handles, found_turns);
-            handle_poses_message(&mut session.handles, poses);
+            handle_poses_message(&mut session.handles, &chain.pose.poses);
         }
         LoggedCommit::Step { .. } => return Err(wrong()),
     }

@@ -146,15 +146,14 @@ impl Replay<'_> {
                 self.history.commit_handles(set.clone(), poses.clone(), facts);
             }
             LoggedCommit::Pose {
-                poses,
-                settings,
+                chain,
                 warnings,
                 found_turns,
                 probe,
                 ..
             } => {
                 let state = self.history.current().clone();
-                if poses.0.len() != state.handles.set.handles.len() {
+                if chain.pose.poses.0.len() != state.handles.set.handles.len() {
                     return Err(damaged(format!(
                         "commit {} has poses of other handles",
                         stored.sequence
@@ -166,18 +165,16 @@ impl Replay<'_> {
                     let recipe = ShapeRecipe::Solved {
                         topology: state.topology.clone(),
                         handles: Arc::clone(&state.handles),
-                        poses: poses.clone(),
-                        settings: *settings,
+                        chain: Arc::new(chain.clone()),
                     };
                     let solved = self.deformer.solve_recipe(&recipe, self.exec)?;
                     now = self.compare(stored, probe, &solved.positions, state.diagonal)?;
                     shape = Some(solved);
                 }
                 self.history.commit_pose(PosedState {
-                    poses: poses.clone(),
+                    chain: chain.clone(),
                     warnings: warnings.clone(),
                     found_turns: found_turns.clone(),
-                    settings: *settings,
                     shape,
                     digest: now,
                 });
@@ -297,8 +294,7 @@ mod tests {
 
     fn commit(sequence: u64, target: Option<u64>) -> Commit {
         let pose = LoggedCommit::Pose {
-            poses: Default::default(),
-            settings: Default::default(),
+            chain: Default::default(),
             warnings: Vec::new(),
             found_turns: Vec::new(),
             probe: ShapeProbe::default(),

@@ -16,13 +16,12 @@ use crate::history::loaded_deformer::{LoadedDeformer, PoseAnswer};
 use crate::history::session_state::{CommittedHandles, SessionState, ShapeRecipe};
 use crate::keeping::sweep::evict_idle;
 use crate::registry::OpenSession;
-use crate::stream::frame_window::FrameContext;
 use crate::task::adopted_parts::AdoptedParts;
 use crate::task::session_task::{SessionTask, no_handles};
 use glam::DVec3;
 use pliant_asset::WrittenFiles;
 use pliant_core::engine;
-use pliant_core::engine::{Animation, ClipSource, Deformer, ModelShape, RigOrder, TopologyState, left_out_of_rig};
+use pliant_core::engine::{Animation, ClipSource, Deformer, ModelShape, PoseChain, RigOrder, left_out_of_rig};
 use pliant_exec::Exec;
 use pliant_exec::progress::Progress as _;
 use pliant_mesh::CrossingPairs;
@@ -190,6 +189,7 @@ impl RunCall for PoseCommit {
             return Err(no_handles());
         }
         let Self { seq, changes, options } = self;
+        let starts = task.history.starts_from(options.from_revision)?;
         let (revision, part_bytes) = (task.history.revision() + 1, task.shared.config.part_bytes);
         let order = origin.order(
             WorkKind::Solve,
@@ -200,15 +200,9 @@ impl RunCall for PoseCommit {
             .compute(order, move |deformer, work| {
                 deformer.load_state(state.topology.as_ref(), &state.handles, &work.exec())?;
                 let poses = deformer.engine.change_poses(&state.poses, &changes)?;
-                let frames = FrameContext {
-                    revision,
-                    topology: state.topology.as_ref().map(TopologyState::id),
-                    diagonal: state.diagonal,
-                    origin: origin_of(&state.facts),
-                    queued: work.queued,
-                    part_bytes,
-                };
-                let mut answer = deformer.solve_for_commit(seq, poses, &options, &frames, work)?;
+                let frames = state.frame_context(revision, work.queued, part_bytes);
+                let chain = PoseChain::of(starts, poses, options.solve);
+                let mut answer = deformer.solve_for_commit(seq, chain, &options, &frames, work)?;
                 answer.frame = answer.frame.for_new_reader();
                 Ok::<_, engine::Error>(answer)
             })

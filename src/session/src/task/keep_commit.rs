@@ -51,8 +51,7 @@ impl SessionTask {
             return Ok(());
         }
         let commit = LoggedCommit::Pose {
-            poses: posed.poses.clone(),
-            settings: posed.settings,
+            chain: posed.chain.clone(),
             warnings: posed.warnings.clone(),
             found_turns: posed.found_turns.clone(),
             probe: ShapeProbe::of(&frame.positions),

@@ -16,10 +16,10 @@ use crate::stream::waiting_poses::{DraggedPoses, PoseEntries, WaitingPose};
 use crate::task::commands::lane_of_commit;
 use crate::task::session_task::{SessionTask, no_handles};
 use pliant_core::engine::{
-    self, COMMIT_REFINE, HandlePose, HandlePoses, Quality, SolveMode, SolveUpdate, TopologyState,
+    self, COMMIT_REFINE, HandlePose, HandlePoses, PoseChain, PoseRecipe, Quality, SolveMode, SolveSettings, SolveUpdate,
 };
 use pliant_wire::frames::Frame;
-use pliant_wire::origin_of;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -36,6 +36,8 @@ struct TurnContext {
     mailbox: Arc<Mailbox>,
     state: SessionState,
     frames: FrameContext,
+    /// What poses that wait go on from, by revision.
+    starts: BTreeMap<u64, Result<Vec<PoseRecipe>, engine::Error>>,
     /// The longest solve.
     longest: Duration,
 }
@@ -66,6 +68,10 @@ impl SessionTask {
         // A drag takes its best result in time; only one that has none after twice the time is given up.
         let limit = if commit { longest } else { longest.saturating_mul(2) };
         let (revision, part_bytes) = (self.history.revision(), self.shared.config.part_bytes);
+        let revisions = poses.iter().filter_map(|pose| pose.settings.from_revision);
+        let starts = revisions
+            .map(|from| (from, self.history.starts_from(Some(from))))
+            .collect();
         let stream = Arc::clone(&mailbox);
         let order = WorkOrder {
             lane,
@@ -73,18 +79,12 @@ impl SessionTask {
         };
         let ran = self
             .compute(order, move |deformer, work| {
-                let frames = FrameContext {
-                    revision,
-                    topology: state.topology.as_ref().map(TopologyState::id),
-                    diagonal: state.diagonal,
-                    origin: origin_of(&state.facts),
-                    queued: work.queued,
-                    part_bytes,
-                };
+                let frames = state.frame_context(revision, work.queued, part_bytes);
                 let turn = TurnContext {
                     mailbox: stream,
                     state,
                     frames,
+                    starts,
                     longest,
                 };
                 turn.solve_newest(deformer, work, poses, dragged)
@@ -280,9 +280,10 @@ impl TurnContext {
                 revision: self.frames.revision + 1,
                 ..self.frames.clone()
             };
-            deformer.solve_for_commit(pose.seq, merged, &pose.settings, &frames, work)
+            let chain = self.chain(merged, &pose.settings.solve, pose.settings.from_revision);
+            chain.and_then(|chain| deformer.solve_for_commit(pose.seq, chain, &pose.settings, &frames, work))
         } else {
-            self.solve_drag(deformer, &merged, &pose, work)
+            self.solve_drag(deformer, merged, &pose, work)
         };
         Ok(Some(SolvedTurn {
             seq: pose.seq,
@@ -291,12 +292,24 @@ impl TurnContext {
         }))
     }
 
+    /// A pose, with what it goes on from.
+    fn chain(
+        &self,
+        poses: HandlePoses,
+        settings: &SolveSettings,
+        from: Option<u64>,
+    ) -> Result<PoseChain, engine::Error> {
+        let starts = from.and_then(|from| self.starts.get(&from));
+        let starts = starts.cloned().unwrap_or_else(|| Ok(Vec::new()))?;
+        Ok(PoseChain::of(starts, poses, *settings))
+    }
+
     /// Solves a pose that is dragged. It starts from the last result, takes the best one in time, sends intermediate frames
     /// where they are wanted, and ends early when a newer pose waits.
     fn solve_drag(
         &self,
         deformer: &mut LoadedDeformer,
-        poses: &HandlePoses,
+        poses: HandlePoses,
         pose: &WaitingPose,
         work: &Work<'_>,
     ) -> Result<PoseAnswer, engine::Error> {
@@ -310,6 +323,9 @@ impl TurnContext {
             true => (SolveMode::Anew, COMMIT_REFINE),
             false => (SolveMode::Drag, 0),
         };
+        // A drag goes on from the frame before.
+        let from = settings.from_revision.filter(|_| settings.fits_coarse_first);
+        let chain = self.chain(poses, &settings.solve, from)?;
         let refine = settings.solve.quality.refine.unwrap_or(refine);
         let mut on_cycle = |now: &SolveUpdate<'_>| {
             // Refinement goes on from frame to frame, so a newer pose loses nothing by cutting it short.
@@ -330,7 +346,7 @@ impl TurnContext {
             }
             true
         };
-        let solved = deformer.solve(poses, &settings.solve, mode, &work.exec(), &mut on_cycle)?;
+        let solved = deformer.solve(&chain, mode, &work.exec(), &mut on_cycle)?;
         let solve_time = watch.elapsed();
         let mut frame = deformer.last_frame(pose.seq, settings, &self.frames, &solved);
         frame.header.solve_ms = ms_of(solve_time);

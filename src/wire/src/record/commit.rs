@@ -2,13 +2,14 @@
 
 use super::messages::{
     AvoidedContactMessage, CommitKindMessage, CommitMessage, CreationMessage, EditMessage, FileReferences,
-    FrameMessage, HandlesMessage, PoseMessage, SettingsMessage, ShapeProbe, StepMessage,
+    FrameMessage, HandlesMessage, PoseMessage, SettingsMessage, ShapeProbe, StartMessage, StepMessage,
 };
 use crate::frames::{FrameEncoding, FrameOutput};
 use crate::{Error, SessionEdit, handle_pose, handle_pose_message, handle_set, handle_set_message, pb, session_edit};
 use glam::DVec3;
 use pliant_core::engine::{
-    Contact, DefaultPivot, HandlePose, HandlePoses, HandleSet, Method, Quality, Recipe, SolveSettings,
+    Contact, DefaultPivot, HandlePose, HandlePoses, HandleSet, Method, PoseChain, PoseRecipe, Quality, Recipe,
+    SolveSettings,
 };
 use pliant_deform::FitOrder;
 use prost::Message as _;
@@ -73,10 +74,8 @@ pub enum LoggedCommit {
     },
     /// A pose was solved.
     Pose {
-        /// The poses of all handles.
-        poses: HandlePoses,
-        /// How they were solved.
-        settings: SolveSettings,
+        /// The poses of all handles, how they were solved, and what from.
+        chain: PoseChain,
         /// What was noticed.
         warnings: Vec<pb::Warning>,
         /// The rotations that were found.
@@ -146,15 +145,15 @@ impl LoggedCommit {
                 about_joints: set.default_pivot == DefaultPivot::Joint,
             }),
             Self::Pose {
-                poses,
-                settings,
+                chain: PoseChain { starts, pose },
                 warnings,
                 found_turns,
                 probe,
                 frame,
             } => CommitKindMessage::Pose(PoseMessage {
-                poses: pose_messages(poses),
-                settings: Some(settings_message(settings)),
+                poses: pose_messages(&pose.poses),
+                settings: Some(settings_message(&pose.settings)),
+                starts: starts.iter().map(start_message).collect(),
                 warnings: warnings.clone(),
                 probe: Some(probe.clone()),
                 frame: frame.as_deref().map(frame_message),
@@ -203,8 +202,12 @@ impl LoggedCommit {
                 facts: recorded(handles.facts, "facts")?,
             },
             CommitKindMessage::Pose(pose) => Self::Pose {
-                poses: recorded_poses(&pose.poses)?,
-                settings: recorded_settings(&pose.settings.ok_or_else(|| missing("settings"))?)?,
+                chain: PoseChain {
+                    starts: (pose.starts.iter())
+                        .map(|start| recorded_pose(&start.poses, start.settings.as_ref()))
+                        .collect::<Result<_, _>>()?,
+                    pose: recorded_pose(&pose.poses, pose.settings.as_ref())?,
+                },
                 warnings: pose.warnings,
                 probe: pose.probe.unwrap_or_default(),
                 frame: (pose.frame)
@@ -250,6 +253,20 @@ fn recorded_poses(messages: &[pb::HandlePose]) -> Result<HandlePoses, Error> {
     let read = |(k, pose)| handle_pose(pose, &format!("poses[{k}]"));
     let poses: Result<Vec<HandlePose>, _> = messages.iter().enumerate().map(read).collect();
     Ok(HandlePoses(poses?.into()))
+}
+
+fn start_message(start: &PoseRecipe) -> StartMessage {
+    StartMessage {
+        poses: pose_messages(&start.poses),
+        settings: Some(settings_message(&start.settings)),
+    }
+}
+
+fn recorded_pose(poses: &[pb::HandlePose], settings: Option<&SettingsMessage>) -> Result<PoseRecipe, Error> {
+    Ok(PoseRecipe {
+        poses: recorded_poses(poses)?,
+        settings: recorded_settings(settings.ok_or_else(|| missing("settings"))?)?,
+    })
 }
 
 fn settings_message(settings: &SolveSettings) -> SettingsMessage {

@@ -49,6 +49,36 @@ fn unusual_settings() -> SolveSettings {
     }
 }
 
+fn unusual_chain(poses: &HandlePoses) -> PoseChain {
+    let pose = PoseRecipe {
+        poses: poses.clone(),
+        settings: unusual_settings(),
+    };
+    PoseChain {
+        starts: vec![PoseRecipe::default(), pose.clone()],
+        pose,
+    }
+}
+
+/// No request can ask for it: a default stands where nothing is given.
+fn unasked_chain(poses: &HandlePoses) -> PoseChain {
+    let settings = SolveSettings {
+        quality: Quality {
+            tolerance: None,
+            ..Quality::default()
+        },
+        method: Method::SpatialRbf,
+        ..SolveSettings::default()
+    };
+    PoseChain {
+        starts: Vec::new(),
+        pose: PoseRecipe {
+            poses: poses.clone(),
+            settings,
+        },
+    }
+}
+
 fn commits() -> Vec<LoggedCommit> {
     let third = 1.0 / 3.0;
     let pose = HandlePose {
@@ -79,8 +109,7 @@ fn commits() -> Vec<LoggedCommit> {
             facts: facts(),
         },
         LoggedCommit::Pose {
-            poses: poses.clone(),
-            settings: unusual_settings(),
+            chain: unusual_chain(&poses),
             warnings: vec![pb::Warning {
                 code: "a".into(),
                 message: "b".into(),
@@ -108,16 +137,7 @@ fn commits() -> Vec<LoggedCommit> {
             })),
         },
         LoggedCommit::Pose {
-            poses: poses.clone(),
-            // No request can ask for it: a default stands where nothing is given.
-            settings: SolveSettings {
-                quality: Quality {
-                    tolerance: None,
-                    ..Quality::default()
-                },
-                method: Method::SpatialRbf,
-                ..SolveSettings::default()
-            },
+            chain: unasked_chain(&poses),
             warnings: Vec::new(),
             found_turns: Vec::new(),
             probe: probe.clone(),

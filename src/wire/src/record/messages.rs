@@ -111,6 +111,18 @@ pub(super) struct PoseMessage {
     /// Absent in records of the time when they were not returned.
     #[prost(message, repeated, tag = "6")]
     pub found_turns: Vec<pb::FoundTurn>,
+    /// What it goes on from, the oldest first.
+    #[prost(message, repeated, tag = "7")]
+    pub starts: Vec<StartMessage>,
+}
+
+/// A pose that another goes on from.
+#[derive(Clone, PartialEq, prost::Message)]
+pub(super) struct StartMessage {
+    #[prost(message, repeated, tag = "1")]
+    pub poses: Vec<pb::HandlePose>,
+    #[prost(message, optional, tag = "2")]
+    pub settings: Option<SettingsMessage>,
 }
 
 /// How a pose was solved. What is absent was not asked for; no default of a request has a part in it.

@@ -49,7 +49,7 @@ export async function play({ browser, url, server, log }) {
   const button = (name) => sheet.page.getByRole("button", { name, exact: true });
   const fine = await step("subdividing", () => button("Subdivide").click());
   assert.equal(fine.triangles, opened.triangles * 4);
-  await sheet.key("g");
+  await sheet.tool("Move the handle");
   const [, head] = await sheet.ask("handles");
   const held = (await told()).handles.find(({ id }) => id === head.id);
   assert.equal(held.vertices, head.vertices.length, "page and server agree on what the handle holds");

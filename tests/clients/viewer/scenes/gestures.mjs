@@ -35,7 +35,7 @@ async function closedLasso(sheet) {
   assert.equal(await selectedOf(sheet), 0, "a click clears");
 
   // A way that comes back is no click on what lies there.
-  await sheet.key("g");
+  await sheet.tool("Move the handle");
   await sheet.key("n");
   const active = () => sheet.page.locator(".handles li.active .name").innerText();
   const chosen = await active();
@@ -101,7 +101,7 @@ async function escapeGivesUp(sheet, server) {
   const session = await sheet.ask("session");
   const { mouse } = sheet.page;
   const history = async () => (await server.json("GET", `/v1/sessions/${session}/history`)).commits.map(({ revision }) => revision);
-  await sheet.key("g");
+  await sheet.tool("Move the handle");
   await sheet.page.getByRole("button", { name: "Head", exact: false }).first().click();
   const [, before] = await sheet.ask("handles");
   await dragGrip(sheet, before, [{ x: 20, y: 10 }]);
@@ -189,10 +189,10 @@ async function buttonsAreTheSame(sheet, log) {
   };
   const { revision } = await sheet.ask("state");
   const checks = async (turns, pans) => {
-    for (const tool of ["v", "b", "x", "l", "c", "g", "r", "s", "m"]) {
-      await sheet.key(tool);
+    for (const tool of await page.locator(".rail button").all()) {
+      await tool.click();
       const seen = [await does(turns), await does(turns, "Shift"), await does(pans), await wheel()];
-      assert.deepEqual(seen, ["turn", "pan", "pan", "zoom"], `with the tool ${tool}: ${turns}, Shift and ${turns}, ${pans}, wheel`);
+      assert.deepEqual(seen, ["turn", "pan", "pan", "zoom"], `with the tool ${await tool.getAttribute("title")}: ${turns}, Shift and ${turns}, ${pans}, wheel`);
     }
   };
   const hint = (words) => page.getByText(words).first().waitFor();

@@ -10,7 +10,7 @@ export const title = "a handle is rotated by more than a turn";
 export async function play({ browser, url, server, log }) {
   const sheet = await Sheet.open(browser, url());
   await openSample(sheet);
-  await sheet.key("r");
+  await sheet.tool("Rotate the handle");
   const [, head] = await sheet.ask("handles");
   const centre = head.at;
 
@@ -48,7 +48,7 @@ export async function play({ browser, url, server, log }) {
   const [, typed] = await sheet.ask("handles");
   assert.ok(Math.abs(typed.pose.rotation[1] - 4 * Math.PI) < 1e-9, `720° are two turns, not ${typed.pose.rotation}`);
   await sheet.key("Escape");
-  await sheet.key("s");
+  await sheet.tool("Scale the handle");
   await dragGrip(sheet, (await sheet.ask("handles"))[1], [{ x: 60, y: -40 }]);
   const [, scaled] = await sheet.ask("handles");
   assert.ok(scaled.pose.scale.every((x) => x > 0 && x !== 1), `scaled by ${scaled.pose.scale}`);

@@ -772,7 +772,7 @@ class Output(_message.Message):
     def __init__(self, normals: bool = ..., tangents: bool = ..., changed_only: _Optional[float] = ..., encoding: _Optional[_Union[Frame.Encoding, str]] = ..., self_intersections: bool = ..., gradients: bool = ...) -> None: ...
 
 class Options(_message.Message):
-    __slots__ = ("tolerance", "max_error", "budget_ms", "progressive", "refine", "first_pass", "method", "rotation_smoothing", "output", "window", "volume", "fit", "contact", "clearance")
+    __slots__ = ("tolerance", "max_error", "budget_ms", "progressive", "refine", "first_pass", "method", "rotation_smoothing", "output", "window", "volume", "fit", "contact", "clearance", "from_revision")
     class FirstPass(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         HARMONIC: _ClassVar[Options.FirstPass]
@@ -819,6 +819,7 @@ class Options(_message.Message):
     FIT_FIELD_NUMBER: _ClassVar[int]
     CONTACT_FIELD_NUMBER: _ClassVar[int]
     CLEARANCE_FIELD_NUMBER: _ClassVar[int]
+    FROM_REVISION_FIELD_NUMBER: _ClassVar[int]
     tolerance: float
     max_error: float
     budget_ms: float
@@ -833,7 +834,8 @@ class Options(_message.Message):
     fit: Options.Fit
     contact: Options.Contact
     clearance: float
-    def __init__(self, tolerance: _Optional[float] = ..., max_error: _Optional[float] = ..., budget_ms: _Optional[float] = ..., progressive: bool = ..., refine: _Optional[int] = ..., first_pass: _Optional[_Union[Options.FirstPass, str]] = ..., method: _Optional[_Union[Options.Method, str]] = ..., rotation_smoothing: _Optional[float] = ..., output: _Optional[_Union[Output, _Mapping]] = ..., window: _Optional[int] = ..., volume: _Optional[_Union[Options.Volume, str]] = ..., fit: _Optional[_Union[Options.Fit, str]] = ..., contact: _Optional[_Union[Options.Contact, str]] = ..., clearance: _Optional[float] = ...) -> None: ...
+    from_revision: int
+    def __init__(self, tolerance: _Optional[float] = ..., max_error: _Optional[float] = ..., budget_ms: _Optional[float] = ..., progressive: bool = ..., refine: _Optional[int] = ..., first_pass: _Optional[_Union[Options.FirstPass, str]] = ..., method: _Optional[_Union[Options.Method, str]] = ..., rotation_smoothing: _Optional[float] = ..., output: _Optional[_Union[Output, _Mapping]] = ..., window: _Optional[int] = ..., volume: _Optional[_Union[Options.Volume, str]] = ..., fit: _Optional[_Union[Options.Fit, str]] = ..., contact: _Optional[_Union[Options.Contact, str]] = ..., clearance: _Optional[float] = ..., from_revision: _Optional[int] = ...) -> None: ...
 
 class Ack(_message.Message):
     __slots__ = ("seq",)

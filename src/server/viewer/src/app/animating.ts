@@ -8,6 +8,7 @@ import { type AnimateOptions, PliantError, schema } from "pliant-client";
 import { type FilmFrame, MOST_FILM_BYTES, around, carry, everyThatFits, filmBytes, frameAt, frameSeconds } from "../model/film.ts";
 import { recordingFacts } from "../model/recording.ts";
 import type { Surface } from "../scene/surface.ts";
+import { frameShown } from "./camera.ts";
 import { dropComparison, hasComparison, prepareComparison, showComparison } from "./comparing.ts";
 import { wardrobe } from "./dressing.ts";
 import { bringBack, putAside } from "./intermission.ts";
@@ -328,6 +329,7 @@ function show(at: number): void {
   if (followsRoot.peek()) carry(frame.positions, frame.root, surface.positions);
   else surface.positions.set(frame.positions);
   surface.moved(moving);
+  frameShown(surface);
   if (isCompared.peek()) showComparison(surface, { ...frame, followsRoot: followsRoot.peek(), moving });
   if (s.settings.peek().colouring === "stretch") repaint();
   view().stage.request();

@@ -3,7 +3,8 @@
 import { batch } from "@preact/signals";
 import type { Vector, schema } from "pliant-client";
 import { type GuideKind, guideAround } from "../model/guides.ts";
-import { AT_REST, type HandleState, type Hold, PALETTE, heldPose, isAtRest, messageOf, poseOf } from "../model/handles.ts";
+import { AT_REST, type HandleState, type Hold, PALETTE, heldPose, isAtRest, messageOf, movesFreely, poseOf } from "../model/handles.ts";
+import type { TransformKind } from "../model/transform.ts";
 import { commitPoses } from "./dragging.ts";
 import { changedHere, isStale, takeOver } from "./following.ts";
 import { bringBack } from "./intermission.ts";
@@ -135,6 +136,13 @@ export function asItLies({ id, pose, pivot }: HandleState): HandleState["pose"] 
   const [x, y, z] = s.facts.peek()?.handles.find((handle) => handle.id === id)?.centroid ?? [];
   const middle = x === undefined || y === undefined || z === undefined ? pivot : toPage([x, y, z]);
   return heldPose(pose, turn, pivot, middle);
+}
+
+/** The pose that a transform of a handle begins from: what has turned automatically is turned on from how it lies. */
+export function startOf(handle: HandleState, kind: TransformKind): HandleState["pose"] {
+  const { pose } = handle;
+  if (kind === "rotate") return asItLies(handle);
+  return { ...pose, freely: movesFreely(handle, pose) && (kind === "move" || pose.freely) };
 }
 
 /** Sets the pose of a handle from numbers rather than from the gizmo. */

@@ -1,6 +1,6 @@
 /** Undo, redo and history. The server keeps shapes; the page keeps which handles and poses led to them. */
 
-import { batch, computed } from "@preact/signals";
+import { batch, computed, signal } from "@preact/signals";
 import type { schema } from "pliant-client";
 import type { HandleState } from "../model/handles.ts";
 import { dropFrames } from "./dragging.ts";
@@ -15,19 +15,19 @@ import { view } from "./view.ts";
 
 const snapshots = new Map<string, readonly HandleState[]>();
 /** What made each revision, in words; those of others have the server's kind. */
-const deeds = new Map<string, string>();
+const deeds = signal<ReadonlyMap<string, string>>(new Map());
 
 const KINDS: Record<string, string> = { create: "Opened", handles: "Handles", pose: "Pose", edit: "Edit" };
 
 /** What a commit did, for people. */
 export function nameOf({ revision, kind }: Pick<schema.Commit, "revision" | "kind">): string {
-  return deeds.get(String(revision)) ?? KINDS[kind] ?? kind;
+  return deeds.value.get(String(revision)) ?? KINDS[kind] ?? kind;
 }
 
 /** Notes which handles and poses a revision has, and what made it. */
 export function remember(revision: bigint, handles: readonly HandleState[], what?: string): void {
   snapshots.set(String(revision), handles);
-  if (what !== undefined) deeds.set(String(revision), what);
+  if (what !== undefined) deeds.value = new Map(deeds.peek()).set(String(revision), what);
   void keepDocument();
 }
 
@@ -37,9 +37,8 @@ export function forgetPast(
   names?: ReadonlyMap<string, string>,
 ): void {
   snapshots.clear();
-  deeds.clear();
   for (const [revision, handles] of known ?? []) snapshots.set(revision, handles);
-  for (const [revision, what] of names ?? []) deeds.set(revision, what);
+  deeds.value = new Map(names ?? []);
 }
 
 /** Takes up what another window knows of the same past; what this one knows stays. */
@@ -48,11 +47,11 @@ export function learnPast(
   names: ReadonlyMap<string, string> | undefined,
 ): void {
   for (const [revision, handles] of known ?? []) if (!snapshots.has(revision)) snapshots.set(revision, handles);
-  for (const [revision, what] of names ?? []) if (!deeds.has(revision)) deeds.set(revision, what);
+  deeds.value = new Map([...(names ?? []), ...deeds.peek()]);
 }
 
 export function pastNames(): ReadonlyMap<string, string> {
-  return deeds;
+  return deeds.peek();
 }
 
 export function pastSnapshots(): ReadonlyMap<string, readonly HandleState[]> {
@@ -67,7 +66,8 @@ export async function refreshHistory(): Promise<void> {
     const { commits, current } = await open.session.history();
     if (s.doc.peek()?.session !== open.session) return;
     const known = new Set(commits.map(({ revision }) => String(revision)));
-    for (const past of [snapshots, deeds]) for (const revision of past.keys()) if (!known.has(revision)) past.delete(revision);
+    for (const revision of snapshots.keys()) if (!known.has(revision)) snapshots.delete(revision);
+    deeds.value = new Map([...deeds.peek()].filter(([revision]) => known.has(revision)));
     batch(() => {
       s.commits.value = commits;
       s.currentRevision.value = current;

@@ -3,6 +3,7 @@
 import { signal } from "@preact/signals";
 import { Puppet } from "../model/gltf/puppet.ts";
 import type { Surface } from "../scene/surface.ts";
+import { frameShown } from "./camera.ts";
 import { exported, wardrobe } from "./dressing.ts";
 import { putAside } from "./intermission.ts";
 import * as s from "./signals.ts";
@@ -120,6 +121,7 @@ function show(): void {
   const { puppet, surface } = act;
   puppet.pose(shown.clip, shown.seconds, surface.positions);
   surface.moved(shown.running);
+  frameShown(surface);
   if (!act.framed) {
     act.framed = true;
     // Clips may stand elsewhere than the pose, or walk away from it; those that stay are not jumped at.

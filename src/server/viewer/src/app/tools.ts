@@ -7,6 +7,7 @@ import { remesh } from "./editing.ts";
 import { giveUpLeading } from "./leading.ts";
 import * as s from "./signals.ts";
 import { did } from "./steps.ts";
+import { giveUpTransform } from "./transforming.ts";
 import { view } from "./view.ts";
 
 /** Tools whose stroke selects; what the remesh brush selects is remeshed when it is lifted. */
@@ -100,7 +101,7 @@ export function activate(id: string | undefined): void {
 
 /** Gives up what the pointer is doing, a stroke or a drag; whether it did anything. */
 export function giveUpGesture(): boolean {
-  if (giveUpLeading()) return true;
+  if (giveUpTransform() || giveUpLeading()) return true;
   if (s.dragging.peek()) {
     view().gizmo.giveUp();
     return true;

@@ -1,5 +1,6 @@
 /** The scene and its objects, once the canvas is there. Actions and tools reach them here. */
 
+import type { Axes } from "../scene/axes.ts";
 import type { Gizmo } from "../scene/gizmo.ts";
 import type { Joints } from "../scene/joints.ts";
 import type { Markers } from "../scene/markers.ts";
@@ -10,6 +11,8 @@ import type { Stage } from "../scene/stage.ts";
 export interface View {
   readonly stage: Stage;
   readonly gizmo: Gizmo;
+  /** Lines along which the active handle is moved. */
+  readonly axes: Axes;
   readonly markers: Markers;
   readonly joints: Joints;
   /** Points of the active handle's guide. */

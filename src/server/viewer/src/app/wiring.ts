@@ -1,7 +1,8 @@
 /** Connects signals and scene: made once, when the canvas is there. */
 
 import { computed, effect, untracked } from "@preact/signals";
-import { type HandlePose, movesFreely } from "../model/handles.ts";
+import type { TransformKind } from "../model/transform.ts";
+import { Axes } from "../scene/axes.ts";
 import { CuttingPlane } from "../scene/cutting.ts";
 import { Gizmo, type GizmoMode } from "../scene/gizmo.ts";
 import { Joints } from "../scene/joints.ts";
@@ -13,9 +14,10 @@ import { applyOptions, commitPoses, dragTo, giveUpDrag, turn } from "./dragging.
 import { resume, sessionOfThisTab } from "./opening.ts";
 import { showLooks } from "./dressing.ts";
 import { installAnimating } from "./animating.ts";
+import { installCamera } from "./camera.ts";
 import { installCrossing } from "./crossing.ts";
 import { installFollowing } from "./following.ts";
-import { asItLies } from "./handling.ts";
+import { startOf } from "./handling.ts";
 import { installIntermission, onScreen } from "./intermission.ts";
 import { controlEvents, installLeading } from "./leading.ts";
 import { repaint } from "./painting.ts";
@@ -24,9 +26,10 @@ import { installRigging, jointEvents } from "./rigging.ts";
 import * as s from "./signals.ts";
 import { installSteps } from "./steps.ts";
 import { armTool, installTools } from "./tools.ts";
+import { installTransforming } from "./transforming.ts";
 import { setView, view } from "./view.ts";
 
-const MODES: Partial<Record<s.Tool, GizmoMode>> = { move: "translate", rotate: "rotate", scale: "scale" };
+const MODES: Readonly<Record<TransformKind, GizmoMode>> = { move: "translate", rotate: "rotate", scale: "scale" };
 
 /** Builds the scene inside `host`. */
 export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
@@ -54,14 +57,16 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
     },
   });
   const plane = new CuttingPlane(stage);
-  setView({ stage, gizmo, markers: new Markers(stage), joints: new Joints(stage, jointEvents), controls: new Joints(stage, controlEvents), overlay: new Overlay(host), pointer: new Pointer(stage) });
+  setView({ stage, gizmo, axes: new Axes(stage), markers: new Markers(stage), joints: new Joints(stage, jointEvents), controls: new Joints(stage, controlEvents), overlay: new Overlay(host), pointer: new Pointer(stage) });
   installTools();
   installSteps();
+  installTransforming();
   stage.beforePaint(turn);
   installPlaying();
   installAnimating();
   installIntermission();
   installFollowing();
+  installCamera();
   installCrossing();
   installRigging();
   installLeading();
@@ -98,16 +103,20 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
   });
   effect(() => {
     const handle = s.activeHandle.value;
-    const mode = MODES[s.tool.value];
-    const holds = handle !== undefined && handle.hold !== "pin" && handle.guide === undefined && mode !== undefined && onScreen.value === undefined;
-    if (mode !== undefined) gizmo.setMode(mode, s.settings.value.localAxes, false);
-    // What has turned automatically is turned on from how it lies.
-    const pose: HandlePose | undefined = holds ? untracked(() => (mode === "rotate" ? asItLies(handle) : handle.pose)) : undefined;
-    gizmo.attach(holds ? handle.pivot : undefined, pose, holds && movesFreely(handle, handle.pose) && (mode === "translate" || handle.pose.freely));
+    const kind = kindOf(s.tool.value);
+    if (kind !== undefined) gizmo.setMode(MODES[kind], s.settings.value.localAxes);
+    const holds = handle !== undefined && handle.hold !== "pin" && handle.guide === undefined && kind !== undefined && onScreen.value === undefined;
+    if (holds) gizmo.attach(handle.pivot, untracked(() => startOf(handle, kind)));
+    else gizmo.attach(undefined, undefined);
   });
   effect(() => view().markers.show(onScreen.value === undefined ? s.handles.value : []));
   effect(() => plane.show(s.cutPlane.value));
   void resumeThisTab();
+}
+
+/** What a tool does to a handle, if it does something. */
+function kindOf(tool: s.Tool): TransformKind | undefined {
+  return tool in MODES ? (tool as TransformKind) : undefined;
 }
 
 /** What the regions look like; the same as before while only poses change. */

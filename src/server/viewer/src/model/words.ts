@@ -17,3 +17,8 @@ export function forPeople(message: string): string {
   const file = /the file "([^"]+)" is missing/.exec(message)?.[1] ?? "it";
   return SAID.reduce((text, [pattern, words]) => text.replace(pattern, () => words.replace("$FILE", () => file)), message);
 }
+
+/** Whole numbers with commas, as the server writes them. */
+export function count(n: number | bigint | undefined): string {
+  return (n ?? 0).toLocaleString("en");
+}

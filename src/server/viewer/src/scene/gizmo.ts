@@ -7,10 +7,9 @@ import { type Vector, nearestRotationVector, quaternionOf } from "pliant-client"
 import * as THREE from "three";
 import { TransformControls } from "three/addons/controls/TransformControls.js";
 import type { HandlePose } from "../model/handles.ts";
+import { LEAST_SCALE, snapped } from "../model/transform.ts";
+import { AXIS_COLOURS } from "./axes.ts";
 import type { Stage } from "./stage.ts";
-
-/** Scales below this would turn a region into nothing, or inside out. */
-const LEAST_SCALE = 0.02;
 
 export interface GizmoEvents {
   /** The user took hold. */
@@ -34,6 +33,8 @@ export class Gizmo {
   /** Whether a handle that is moved turns automatically. */
   private freely = false;
   private attached = false;
+  /** The length that moves are rounded to, if they are. */
+  private step: number | undefined;
   /** The pose at which the drag began that is under way. */
   private began: HandlePose | undefined;
 
@@ -43,7 +44,7 @@ export class Gizmo {
   ) {
     this.controls = new TransformControls(stage.camera, stage.canvas);
     this.controls.setSize(0.85);
-    this.controls.setColors(0xf0625d, 0x5fbf6a, 0x4f94ff, 0xffc14d);
+    this.controls.setColors(...AXIS_COLOURS, 0xffc14d);
     stage.scene.add(this.grip, this.controls.getHelper());
     this.controls.addEventListener("change", () => stage.request());
     this.controls.addEventListener("objectChange", () => {
@@ -87,14 +88,27 @@ export class Gizmo {
     return this.controls.axis;
   }
 
-  /** Places it on a handle, which turns automatically when it is moved if it does so `freely`; without one it hides. */
-  attach(pivot: Vector | undefined, pose: HandlePose | undefined, freely = false): void {
+  /** Whether it can be dragged. */
+  set enabled(enabled: boolean) {
+    this.controls.enabled = enabled;
+    if (!enabled) this.controls.axis = null;
+  }
+
+  /** Rounds what is dragged to steps of a length, 5° and a tenth; not without a length. */
+  snap(length: number | undefined): void {
+    this.step = length;
+    this.controls.setRotationSnap(length === undefined ? null : Math.PI / 36);
+    this.controls.setScaleSnap(length === undefined ? null : 0.1);
+  }
+
+  /** Places it on a handle, whose pose is the one that a drag begins from; without one it hides. */
+  attach(pivot: Vector | undefined, pose: HandlePose | undefined): void {
     this.attached = pivot !== undefined && pose !== undefined;
     if (pivot === undefined || pose === undefined) {
       this.controls.detach();
     } else if (!this.controls.dragging) {
       this.pivot = pivot;
-      this.freely = freely;
+      this.freely = pose.freely;
       this.rotation = pose.rotation;
       this.grip.position.set(...add(pivot, pose.translation));
       this.grip.quaternion.set(...(quaternionOf(pose.rotation) as [number, number, number, number]));
@@ -104,12 +118,10 @@ export class Gizmo {
     this.stage.request();
   }
 
-  setMode(mode: GizmoMode, localAxes: boolean, snap: boolean): void {
+  setMode(mode: GizmoMode, localAxes: boolean): void {
     this.mode = mode;
     this.controls.setMode(mode);
     this.controls.setSpace(localAxes ? "local" : "world");
-    this.controls.setRotationSnap(snap ? Math.PI / 12 : null);
-    this.controls.setScaleSnap(snap ? 0.1 : null);
     this.stage.request();
   }
 
@@ -125,6 +137,12 @@ export class Gizmo {
   private follow(): void {
     const { x, y, z, w } = this.grip.quaternion;
     if (this.mode === "rotate") this.rotation = nearestRotationVector([x, y, z, w], this.rotation);
+    const from = this.began?.translation;
+    if (this.mode === "translate" && from !== undefined) {
+      // By how much, not to where: three.js would round the place.
+      const start = add(this.pivot, from);
+      this.grip.position.set(...(this.grip.position.toArray().map((x, k) => (start[k] as number) + snapped(x - (start[k] as number), this.step)) as [number, number, number]));
+    }
     this.grip.scale.clampScalar(LEAST_SCALE, 1 / LEAST_SCALE);
   }
 

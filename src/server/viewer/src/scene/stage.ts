@@ -57,9 +57,10 @@ export class Stage {
     }
   }
 
-  /** Has `painter` called before each painted frame. */
-  beforePaint(painter: Painter): void {
+  /** Has `painter` called before each painted frame, until what is returned is called. */
+  beforePaint(painter: Painter): () => void {
     this.painters.add(painter);
+    return () => this.painters.delete(painter);
   }
 
   /** What is shown, the surface first. */
@@ -126,13 +127,7 @@ export class Stage {
       : this.camera.position.clone().sub(this.orbit.target).normalize();
     const half = (this.camera.fov / 2) * (Math.PI / 180);
     const distance = (ball.radius * 1.12) / Math.sin(Math.min(half, Math.atan(Math.tan(half) * this.camera.aspect)));
-    this.orbit.target.copy(ball.center);
-    this.camera.position.copy(ball.center).addScaledVector(direction, distance);
-    this.camera.near = distance / 200;
-    this.camera.far = distance * 20;
-    this.camera.updateProjectionMatrix();
-    this.orbit.update();
-    this.request();
+    this.goTo(ball.center, direction, distance, distance * 20);
   }
 
   /** Looks at a place so that `radius` around it fills the picture: against `facing`, if that is a direction, else as before. */
@@ -146,10 +141,14 @@ export class Stage {
     const half = (this.camera.fov / 2) * (Math.PI / 180);
     const distance = radius / Math.sin(Math.min(half, Math.atan(Math.tan(half) * this.camera.aspect)));
     const whole = this.surface?.bounds().radius ?? radius;
+    this.goTo(at, from, distance, distance * 20 + whole * 4);
+  }
+
+  private goTo(at: THREE.Vector3, from: THREE.Vector3, distance: number, far: number): void {
     this.orbit.target.copy(at);
     this.camera.position.copy(at).addScaledVector(from, distance);
     this.camera.near = distance / 200;
-    this.camera.far = distance * 20 + whole * 4;
+    this.camera.far = far;
     this.camera.updateProjectionMatrix();
     this.orbit.update();
     this.request();
@@ -178,6 +177,13 @@ export class Stage {
   lookFrom(around: number, up: number): void {
     const away = new THREE.Spherical(this.camera.position.distanceTo(this.orbit.target), Math.PI / 2 - up, around);
     this.camera.position.setFromSpherical(away.makeSafe()).add(this.orbit.target);
+    this.orbit.update();
+    this.request();
+  }
+
+  /** Goes across the ground, and what is looked at with it. */
+  shift(x: number, z: number): void {
+    for (const place of [this.camera.position, this.orbit.target]) place.set(place.x + x, place.y, place.z + z);
     this.orbit.update();
     this.request();
   }

@@ -4,7 +4,8 @@ import type { JSX } from "preact";
 import * as a from "../app/animating.ts";
 import { hasComparison } from "../app/comparing.ts";
 import * as s from "../app/signals.ts";
-import { Button, count, seconds, things } from "./parts.tsx";
+import { Button, seconds, things } from "./parts.tsx";
+import { count } from "../model/words.ts";
 import { Speed } from "./Transport.tsx";
 
 export function AnimationBar(): JSX.Element | null {

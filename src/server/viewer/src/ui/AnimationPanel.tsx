@@ -6,7 +6,8 @@ import { animate, animating, animationReport, clipOptions, lastSource, type Clip
 import { finding, showRig } from "../app/rigging.ts";
 import { wardrobe } from "../app/dressing.ts";
 import { pickRecording } from "./files.ts";
-import { Button, Facts, Field, NumberInput, Section, Select, count } from "./parts.tsx";
+import { Button, Facts, Field, NumberInput, Section, Select } from "./parts.tsx";
+import { count } from "../model/words.ts";
 import { FaultLine } from "./WarningLine.tsx";
 
 const RATES = ["0", "60", "30", "24", "15", "10", "5"] as const;

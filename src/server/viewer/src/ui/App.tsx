@@ -21,6 +21,7 @@ import { ToolRail } from "./ToolRail.tsx";
 import { TopBar } from "./TopBar.tsx";
 import { TokenDialog } from "./TokenDialog.tsx";
 import { Transport } from "./Transport.tsx";
+import { ViewCorner } from "./ViewCorner.tsx";
 
 export function App(): JSX.Element {
   const host = useRef<HTMLDivElement>(null);
@@ -53,6 +54,7 @@ export function App(): JSX.Element {
         {isOpen && <Transport />}
         {isOpen && <AnimationBar />}
         {isOpen && <RigBar />}
+        {isOpen && <ViewCorner />}
         <Notes />
         <DropTarget />
       </main>

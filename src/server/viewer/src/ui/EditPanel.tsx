@@ -1,13 +1,14 @@
-/** Operations on the topology: cut, subdivide, smooth, remesh. */
+/** Every edit that the server has. */
 
-import type { JSX } from "preact";
+import type { ComponentChildren, JSX } from "preact";
 import { useState } from "preact/hooks";
-import { type CutChoice, cut, remesh, smooth, subdivide } from "../app/editing.ts";
+import { schema } from "pliant-client";
+import { edit, region, remesh } from "../app/editing.ts";
 import * as s from "../app/signals.ts";
-import { view } from "../app/view.ts";
-import { Button, Check, Choice, Field, NumberInput, Section, count } from "./parts.tsx";
-
-type Axis = "X" | "Y" | "Z" | "view";
+import { count } from "../model/words.ts";
+import { Cut } from "./Cut.tsx";
+import { pickModel } from "./files.ts";
+import { Button, Check, Choice, Field, NumberInput, Section, Select } from "./parts.tsx";
 
 export function EditPanel(): JSX.Element {
   const refused = s.editsRefused.value;
@@ -20,102 +21,43 @@ export function EditPanel(): JSX.Element {
           <small>Deforming is not affected.</small>
         </p>
       )}
-      <Cut disabled={refused !== undefined} />
-      <p class="hint">
-        {selected > 0 ? `The next three work on the ${count(selected)} selected vertices.` : "The next three work on the whole model; paint a region to limit them."}
-      </p>
-      <Subdivide disabled={refused !== undefined} />
-      <Smooth disabled={refused !== undefined} />
-      <Remesh disabled={refused !== undefined} />
+      <fieldset disabled={refused !== undefined}>
+        <Cut />
+        <p class="hint">
+          {selected > 0
+            ? `What follows works on the ${count(selected)} selected vertices; parts, other models and the pose are edited as a whole.`
+            : "What follows works on the whole model; paint a region to limit it."}
+        </p>
+        <Surface />
+        <Holes none={selected === 0} />
+        <Parts />
+        <OtherModels />
+        <WholePose />
+      </fieldset>
     </Section>
   );
 }
 
-function Cut({ disabled }: { disabled: boolean }): JSX.Element {
-  const [axis, setAxis] = useState<Axis>("Y");
-  const [choice, setChoice] = useState<CutChoice>({ keep: "BOTH", fill: true });
-  const open = s.doc.value;
-  const plane = s.cutPlane.value;
-  const range = open === undefined ? undefined : alongAxis(axis);
-  const show = (next: Axis): void => {
-    setAxis(next);
-    const { normal, low, high } = alongAxis(next);
-    s.cutPlane.value = { normal, offset: (low + high) / 2 };
-  };
+/** Edits of one kind. */
+function Group({ title, children }: { title: string; children: ComponentChildren }): JSX.Element {
   return (
-    <fieldset disabled={disabled}>
-      <legend>Cut by a plane</legend>
-      <Choice
-        label="Direction of the cut"
-        value={plane === undefined ? ("" as Axis) : axis}
-        options={[
-          ["X", "X"],
-          ["Y", "Y"],
-          ["Z", "Z"],
-          ["view", "view"],
-        ]}
-        onValue={show}
-      />
-      {plane !== undefined && range !== undefined && (
-        <>
-          <Field label="Place">
-            <input
-              type="range"
-              min={range.low}
-              max={range.high}
-              step={(range.high - range.low) / 500}
-              value={plane.offset}
-              onInput={(event) => (s.cutPlane.value = { ...plane, offset: Number(event.currentTarget.value) })}
-            />
-          </Field>
-          <Field label="Keep">
-            <Choice
-              label="Which sides stay"
-              value={choice.keep}
-              options={[
-                ["BOTH", "both"],
-                ["ABOVE", "above"],
-                ["BELOW", "below"],
-              ]}
-              onValue={(keep) => setChoice({ ...choice, keep })}
-            />
-          </Field>
-          <div class="row">
-            <Check label="Close the cut" checked={choice.fill} onValue={(fill) => setChoice({ ...choice, fill })} />
-            <span class="gap" />
-            <Button label="Cancel" onClick={() => (s.cutPlane.value = undefined)} />
-            <Button kind="main" label="Cut" onClick={() => void cut(choice)} />
-          </div>
-        </>
-      )}
+    <fieldset>
+      <legend>{title}</legend>
+      {children}
     </fieldset>
   );
 }
 
-/** The direction of a cut, and between which offsets the shape lies along it. */
-function alongAxis(axis: Axis): { normal: [number, number, number]; low: number; high: number } {
-  const { stage } = view();
-  let normal: [number, number, number] = [axis === "X" ? 1 : 0, axis === "Y" ? 1 : 0, axis === "Z" ? 1 : 0];
-  if (axis === "view") {
-    // A plane through the line of sight, upright on the screen.
-    const right = stage.camera.matrixWorld.elements;
-    normal = [right[0] as number, right[1] as number, right[2] as number];
-  }
-  let [low, high] = [Infinity, -Infinity];
-  const positions = stage.surface?.positions ?? new Float32Array();
-  for (let k = 0; k < positions.length; k += 3) {
-    const along = normal[0] * (positions[k] as number) + normal[1] * (positions[k + 1] as number) + normal[2] * (positions[k + 2] as number);
-    low = Math.min(low, along);
-    high = Math.max(high, along);
-  }
-  return { normal, low, high };
-}
-
-function Subdivide({ disabled }: { disabled: boolean }): JSX.Element {
+/** More, fewer or better triangles. */
+function Surface(): JSX.Element {
   const [scheme, setScheme] = useState<"LOOP" | "MIDPOINT">("LOOP");
+  const [kept, setKept] = useState(50);
+  const { remeshLength } = s.settings.value;
+  const brushing = s.tool.value === "remesh";
+  const smooth = (what: string, kind: "SMOOTH" | "RELAX") => (): void =>
+    void edit(what, { case: "smooth", value: { ...region(), kind: schema.EditRequest_Smooth_Kind[kind] } });
   return (
-    <fieldset disabled={disabled}>
-      <legend>Subdivide</legend>
+    <Group title="Triangles">
       <div class="row">
         <Choice
           label="Scheme"
@@ -127,39 +69,139 @@ function Subdivide({ disabled }: { disabled: boolean }): JSX.Element {
           onValue={setScheme}
         />
         <span class="gap" />
-        <Button label="Subdivide" onClick={() => void subdivide(scheme)} />
+        <Button
+          label="Subdivide"
+          onClick={() => void edit("Subdividing", { case: "subdivide", value: { ...region(), scheme: schema.EditRequest_Subdivide_Scheme[scheme] } })}
+        />
       </div>
-    </fieldset>
-  );
-}
-
-function Smooth({ disabled }: { disabled: boolean }): JSX.Element {
-  return (
-    <fieldset disabled={disabled}>
-      <legend>Smooth</legend>
       <div class="row">
+        <Field label="Keep" hint="The share of triangles that stays, in percent">
+          <NumberInput label="Share of triangles to keep" value={kept} min={1} max={99} digits={1} step={5} onValue={setKept} />
+        </Field>
+        <span>%</span>
         <span class="gap" />
-        <Button label="Relax" onClick={() => void smooth("RELAX")} />
-        <Button label="Smooth" onClick={() => void smooth("SMOOTH")} />
+        <Button label="Decimate" onClick={() => void edit("Decimating", { case: "decimate", value: { ...region(), ratio: kept / 100 } })} />
       </div>
-    </fieldset>
-  );
-}
-
-function Remesh({ disabled }: { disabled: boolean }): JSX.Element {
-  const { remeshLength } = s.settings.value;
-  const brushing = s.tool.value === "remesh";
-  return (
-    <fieldset disabled={disabled}>
-      <legend>Remesh</legend>
       <div class="row">
-        <Field label="Edge length" hint="In model units; 0 remeshes only where the surface is stretched">
+        <Field label="Edges" hint="Their length in model units; 0 remeshes only where the surface is stretched">
           <NumberInput label="Edge length" value={remeshLength} min={0} digits={5} step={0.01} onValue={(length) => s.choose({ remeshLength: length })} />
         </Field>
         <span class="gap" />
         <Button label="Brush" pressed={brushing} onClick={() => (s.tool.value = brushing ? "orbit" : "remesh")} />
         <Button label="Remesh" onClick={() => void remesh()} />
       </div>
-    </fieldset>
+      <div class="row">
+        <span class="gap" />
+        <Button label="Relax" hint="More even triangles on the same surface" onClick={smooth("Relaxing", "RELAX")} />
+        <Button label="Smooth" hint="Takes noise and wrinkles off" onClick={smooth("Smoothing", "SMOOTH")} />
+      </div>
+    </Group>
+  );
+}
+
+/** Holes: closed, or made by deleting the selection. */
+function Holes({ none }: { none: boolean }): JSX.Element {
+  const [cap, setCap] = useState<keyof typeof schema.EditRequest_Cap>("CONTINUED");
+  const [fills, setFills] = useState(false);
+  return (
+    <Group title="Holes">
+      <div class="row">
+        <Choice
+          label="What closes a hole"
+          value={cap}
+          options={[
+            ["CONTINUED", "curved"],
+            ["FLAT", "flat"],
+          ]}
+          onValue={setCap}
+        />
+        <span class="gap" />
+        <Button label="Fill holes" onClick={() => void edit("Filling holes", { case: "fill", value: { ...region(), cap: schema.EditRequest_Cap[cap] } })} />
+      </div>
+      <div class="row">
+        <Check label="Close the hole" checked={fills} onValue={setFills} />
+        <span class="gap" />
+        <Button
+          label="Delete selection"
+          disabled={none}
+          onClick={() => void edit("Deleting", { case: "delete", value: { ...region(), fill: fills } })}
+        />
+      </div>
+    </Group>
+  );
+}
+
+/** Vertices and parts of the whole model. */
+function Parts(): JSX.Element {
+  const [within, setWithin] = useState<number>();
+  const [largest, setLargest] = useState(1);
+  const near = within ?? Number(((s.doc.value?.report.diagonal ?? 1) / 1e5).toPrecision(1));
+  return (
+    <Group title="Vertices and parts">
+      <div class="row">
+        <Field label="Within" hint="Vertices at most this far apart become one, in model units">
+          <NumberInput label="Welding distance" value={near} min={1e-12} digits={9} step={near} onValue={setWithin} />
+        </Field>
+        <span class="gap" />
+        <Button label="Weld" onClick={() => void edit("Welding", { case: "weld", value: { tolerance: near } })} />
+      </div>
+      <div class="row">
+        <Field label="Parts" hint="How many connected parts stay, by their area">
+          <NumberInput label="Parts to keep" value={largest} min={1} digits={0} step={1} onValue={setLargest} />
+        </Field>
+        <span class="gap" />
+        <Button label="Keep largest" onClick={() => void edit("Keeping the largest parts", { case: "clean", value: { keepLargest: largest } })} />
+      </div>
+    </Group>
+  );
+}
+
+/** Edits that take another model. */
+function OtherModels(): JSX.Element {
+  const [how, setHow] = useState<keyof typeof schema.EditRequest_Merge_How>("LOOSE");
+  const [inPlace, setInPlace] = useState(true);
+  return (
+    <Group title="Another model">
+      <div class="row">
+        <Select
+          label="How the models are joined"
+          value={how}
+          options={[
+            ["LOOSE", "separate part"],
+            ["WELD", "weld boundaries"],
+            ["STITCH", "stitch boundaries"],
+          ]}
+          onValue={setHow}
+        />
+        <span class="gap" />
+        <Button
+          label="Merge…"
+          hint="Adds another model to this one"
+          onClick={() => pickModel((model, format) => edit("Merging", { case: "merge", value: { source: { case: "model", value: model }, format, how: schema.EditRequest_Merge_How[how] } }))}
+        />
+      </div>
+      <div class="row">
+        <Check label="Stay in place" checked={inPlace} onValue={setInPlace} />
+        <span class="gap" />
+        <Button
+          label="Wrap onto…"
+          hint="Takes on the shape of a scan or of another model; triangles stay"
+          onClick={() => pickModel((model, format) => edit("Wrapping", { case: "wrap", value: { target: { case: "model", value: model }, format, inPlace } }))}
+        />
+      </div>
+    </Group>
+  );
+}
+
+/** What is done with the pose as a whole. */
+function WholePose(): JSX.Element {
+  return (
+    <Group title="Pose">
+      <div class="row">
+        <Button label="Part crossings" hint="Moves as little as is needed for triangles not to cross" onClick={() => void edit("Parting crossings", { case: "unintersect", value: {} })} />
+        <span class="gap" />
+        <Button label="Make it the rest pose" hint="Later poses go on from this shape" onClick={() => void edit("New rest pose", { case: "adopt", value: {} })} />
+      </div>
+    </Group>
   );
 }

@@ -5,10 +5,12 @@ import type { JSX } from "preact";
 import { asItLies, changeHandle, keepHardParts, poseHandle, removeHandle } from "../app/handling.ts";
 import * as s from "../app/signals.ts";
 import { activate } from "../app/tools.ts";
+import { lengthStep } from "../app/transforming.ts";
 import { AT_REST, type HandleState, colourOf, isAtRest } from "../model/handles.ts";
 import { TurnCount } from "./GizmoLabel.tsx";
 import { Icon } from "./icons.tsx";
-import { Button, Check, Choice, Field, NumberInput, Section, count } from "./parts.tsx";
+import { Button, Check, Choice, Field, NumberInput, Section } from "./parts.tsx";
+import { count } from "../model/words.ts";
 
 export function HandlePanel(): JSX.Element {
   const list = s.handles.value;
@@ -159,27 +161,29 @@ function Pose({ handle }: { handle: HandleState }): JSX.Element {
     <div class="vector" role="group" aria-label={name}>
       <span>{name}</span>
       {AXES.map((axis, k) => (
-        <NumberInput
-          label={`${name} ${axis}`}
-          value={values[k] ?? 0}
-          step={step}
-          digits={digits}
-          {...(min === undefined ? {} : { min })}
-          onValue={(value) => {
-            const next: [number, number, number] = [...values];
-            next[k] = value;
-            onVector(next);
-          }}
-        />
+        <label class={`axis-${axis.toLowerCase()}`}>
+          <span>{axis}</span>
+          <NumberInput
+            label={`${name} ${axis}`}
+            value={values[k] ?? 0}
+            step={step}
+            digits={digits}
+            {...(min === undefined ? {} : { min })}
+            onValue={(value) => {
+              const next: [number, number, number] = [...values];
+              next[k] = value;
+              onVector(next);
+            }}
+          />
+        </label>
       ))}
     </div>
   );
   const scaled = (v: Vector, by: number): Vector => [v[0] * by, v[1] * by, v[2] * by];
-  const size = s.doc.value?.report.diagonal ?? 1;
   const angle = Math.hypot(...pose.rotation);
   return (
     <>
-      {row("Move", pose.translation, Number((size / 100).toPrecision(1)), 4, undefined, (translation) => set({ translation }))}
+      {row("Move", pose.translation, lengthStep(), 4, undefined, (translation) => set({ translation }))}
       {row("Turn °", scaled(pose.rotation, DEGREES), 5, 1, undefined, (degrees) => set({ ...asItLies(handle), rotation: scaled(degrees, 1 / DEGREES) }))}
       <Check
         label="turns automatically"

@@ -34,11 +34,12 @@ export function Help(): JSX.Element {
           <b>Pin</b> what stays, <b>grip</b> what moves. A <b>soft</b> handle pulls instead of holding.
         </li>
         <li>
-          <b>Drag</b> the gizmo. The newest pose always wins; releasing the button records it, Escape cancels it. Undo restores the exact shape;
+          <b>Drag</b> the gizmo, or press <kbd>G</kbd>, <kbd>R</kbd> or <kbd>S</kbd> and move the pointer: <kbd>X</kbd>, <kbd>Y</kbd> and{" "}
+          <kbd>Z</kbd> lock an axis, with Shift the plane across it; digits type the amount; Ctrl rounds it; Enter or a click keeps it. The newest pose always wins; releasing the button records it, Escape cancels it. Undo restores the exact shape;
           it also covers selections, in the order of your actions.
         </li>
         <li>
-          <b>Edit</b> the triangles: cut by a plane, subdivide, smooth, or remesh what the remesh brush paints. Undo covers that, too.
+          <b>Edit</b> the triangles: cut, delete, fill, subdivide, decimate, smooth, weld, merge, or remesh what the remesh brush paints. Undo covers that, too.
         </li>
         <li>
           <b>Export</b> the model: unless it was edited, everything but positions, normals and tangents stays as it was in the file.

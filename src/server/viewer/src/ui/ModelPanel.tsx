@@ -4,7 +4,8 @@ import type { schema } from "pliant-client";
 import type { JSX } from "preact";
 import * as s from "../app/signals.ts";
 import { wardrobe } from "../app/dressing.ts";
-import { Facts, Section, bytes, count, things } from "./parts.tsx";
+import { Facts, Section, bytes, things } from "./parts.tsx";
+import { count } from "../model/words.ts";
 import { FaultLine, WarningLine } from "./WarningLine.tsx";
 
 type Row = [name: string, value: string, meaning: string];

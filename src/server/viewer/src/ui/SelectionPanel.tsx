@@ -5,7 +5,8 @@ import { makeHandle } from "../app/handling.ts";
 import * as s from "../app/signals.ts";
 import { clearSelection, invertSelection } from "../app/tools.ts";
 import { selectingMeans } from "./mouse.ts";
-import { Button, Check, Field, Section, count } from "./parts.tsx";
+import { Button, Check, Field, Section } from "./parts.tsx";
+import { count } from "../model/words.ts";
 
 export function SelectionPanel(): JSX.Element {
   const selected = s.selectedCount.value;

@@ -8,7 +8,8 @@ import { EXTENSIONS, client, openSample, reopen, resume } from "../app/opening.t
 import { keptToken, tokenQuestion } from "../app/token.ts";
 import { ageOf, timeTo } from "./age.ts";
 import { pickFiles } from "./files.ts";
-import { Button, count, things } from "./parts.tsx";
+import { Button, things } from "./parts.tsx";
+import { count } from "../model/words.ts";
 
 type KeptModel = Kept & { readonly keptAt: number };
 

@@ -2,7 +2,8 @@
 
 import type { JSX } from "preact";
 import * as s from "../app/signals.ts";
-import { bytes, count } from "./parts.tsx";
+import { bytes } from "./parts.tsx";
+import { count } from "../model/words.ts";
 
 const LINKS = {
   none: "no session",

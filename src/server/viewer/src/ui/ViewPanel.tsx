@@ -4,10 +4,10 @@ import type { JSX } from "preact";
 import { crossings } from "../app/crossing.ts";
 import * as s from "../app/signals.ts";
 import { wardrobe } from "../app/dressing.ts";
-import { view } from "../app/view.ts";
 import { FULL_STRETCH } from "../model/stretch.ts";
 import { buttonsMean } from "./mouse.ts";
-import { Button, Check, Choice, Facts, Field, Section, count } from "./parts.tsx";
+import { Check, Choice, Facts, Field, Section } from "./parts.tsx";
+import { count } from "../model/words.ts";
 
 export function ViewPanel(): JSX.Element {
   const { colouring, wire, localAxes, looksWith, materials } = s.settings.value;
@@ -58,8 +58,6 @@ export function ViewPanel(): JSX.Element {
         />
         <Check label="Wire (W)" checked={wire} onValue={(value) => s.choose({ wire: value })} />
         <Check label="Own axes (A)" checked={localAxes} onValue={(value) => s.choose({ localAxes: value })} />
-        <span class="gap" />
-        <Button icon="frame" label="Frame" keys="F" onClick={() => view().stage.frame()} />
       </div>
       {quality && (
         <Facts

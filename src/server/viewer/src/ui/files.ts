@@ -4,26 +4,37 @@ import { type ClipSource, animate, rigOf } from "../app/animating.ts";
 import { EXTENSIONS, openFiles } from "../app/opening.ts";
 import { correctedRig } from "../app/rigging.ts";
 import * as s from "../app/signals.ts";
+import { allAnswered } from "../app/steps.ts";
 import type { Format, PlacedFile } from "pliant-client";
 
 /** Asks for a model with the browser's file picker. */
 export function pickFiles(): void {
-  const input = document.createElement("input");
-  input.type = "file";
-  input.multiple = true;
   // Companion files have any name, so the list of extensions is a hint that also lets buffers and images through.
-  input.accept = [...EXTENSIONS.map((extension) => `.${extension}`), ".bvh", ".bin", ".mtl", ".png", ".jpg", ".jpeg"].join(",");
-  input.onchange = () => void take([...(input.files ?? [])].map(placed));
-  input.click();
+  const accept = [...EXTENSIONS.map((extension) => `.${extension}`), ".bvh", ".bin", ".mtl", ".png", ".jpg", ".jpeg"];
+  pick(accept, true, (files) => void take(files.map(placed)));
 }
 
 /** Asks for a recording, and a rig if it has one. */
 export function pickRecording(): void {
+  pick([".bvh", ".json"], true, (files) => void playRecording(files.map(placed)));
+}
+
+/** Asks for a model that an edit takes: its bytes, and the format that its name says. */
+export function pickModel(take: (model: Uint8Array<ArrayBuffer>, format: string) => Promise<void>): void {
+  pick(EXTENSIONS.map((extension) => `.${extension}`), false, ([file]) => {
+    if (file === undefined) return;
+    const format = file.name.split(".").at(-1)?.toLowerCase() ?? "";
+    void file.arrayBuffer().then((bytes) => take(new Uint8Array(bytes), format), (error: unknown) => s.fail("The file cannot be read", error));
+  });
+}
+
+/** Asks for files with the browser's file picker. */
+function pick(accept: readonly string[], multiple: boolean, take: (files: readonly File[]) => void): void {
   const input = document.createElement("input");
   input.type = "file";
-  input.multiple = true;
-  input.accept = ".bvh,.json";
-  input.onchange = () => void playRecording([...(input.files ?? [])].map(placed));
+  input.multiple = multiple;
+  input.accept = accept.join(",");
+  input.onchange = () => take([...(input.files ?? [])]);
   input.click();
 }
 
@@ -105,6 +116,8 @@ export async function exportModel(format: Format): Promise<void> {
   if (open === undefined) return;
   s.busy.value = { title: `Writing ${format}` };
   try {
+    // What was typed last is part of it.
+    await allAnswered();
     const files = await open.session.files(format);
     const main = `${open.name.replace(/\.[a-z]+$/i, "")}-bent.${format}`;
     for (const [name, blob] of files) save(blob, name === "" ? main : (name.split("/").at(-1) ?? name));

@@ -7,6 +7,7 @@ import { leavingQuestion } from "../app/leaving.ts";
 import { redo, undo } from "../app/past.ts";
 import * as s from "../app/signals.ts";
 import { activate, clearSelection, giveUpGesture, invertSelection } from "../app/tools.ts";
+import { beginTransform, transformKey } from "../app/transforming.ts";
 import { view } from "../app/view.ts";
 import { exportModel, pickFiles } from "./files.ts";
 import { nextTheme } from "./TopBar.tsx";
@@ -65,7 +66,8 @@ export const SHORTCUTS: readonly { title: string; list: readonly Shortcut[] }[] 
       keys: key,
       what: name,
       act: () => {
-        s.tool.value = tool;
+        if (tool === "move" || tool === "rotate" || tool === "scale") beginTransform(tool);
+        else s.tool.value = tool;
       },
     })),
   },
@@ -126,14 +128,16 @@ export const SHORTCUTS: readonly { title: string; list: readonly Shortcut[] }[] 
 export function installKeys(): void {
   const byKey = new Map(SHORTCUTS.flatMap(({ list }) => list).map((shortcut) => [shortcut.keys.toLowerCase(), shortcut]));
   addEventListener("keydown", (event) => {
+    if (transformKey(event)) return event.preventDefault();
     const target = event.target as HTMLElement;
-    const typing = target.matches("input:not([type=checkbox]):not([type=range]), select, textarea");
+    const control = event.ctrlKey || event.metaKey;
+    // Numbers and choices have no history of their own: with Ctrl, keys are the page's.
+    const typing = target.matches("input:not([type=checkbox]):not([type=range]), select, textarea") && !(control && target.matches("[type=number], select"));
     // Arrows belong to what they move: a list of options, the choice among a few.
     const choosing = event.key.startsWith("Arrow") && target.matches("input, [role=radio]");
     const pressing = target.matches("button, summary, a") && (event.key === "Enter" || event.key === " ");
     const escaping = event.key === "Escape";
     if ((typing && !escaping) || pressing || choosing || s.busy.peek() !== undefined || leavingQuestion.peek() !== undefined) return;
-    const control = event.ctrlKey || event.metaKey;
     if (event.altKey) return;
     let name = `${control ? "ctrl+" : ""}${event.key.toLowerCase()}`;
     if (name === "ctrl+z" && event.shiftKey) name = "ctrl+y";
@@ -142,7 +146,7 @@ export function installKeys(): void {
     const shortcut = byKey.get(name);
     if (shortcut === undefined || (shortcut.always !== true && s.doc.peek() === undefined)) return;
     event.preventDefault();
-    if (typing) target.blur();
+    if (target.matches("input, select")) target.blur();
     shortcut.act();
   });
 }

@@ -3,11 +3,14 @@
 import type { ComponentChildren, JSX } from "preact";
 import { useState } from "preact/hooks";
 import { recall, store } from "../app/storage.ts";
+import { count } from "../model/words.ts";
 import { Icon, type IconName } from "./icons.tsx";
 
 interface ButtonProps {
   icon?: IconName;
   label: string;
+  /** What it does, where the label alone does not say. */
+  hint?: string;
   /** The key that does the same. */
   keys?: string;
   /** Shows the icon alone; the label becomes its name. */
@@ -18,8 +21,8 @@ interface ButtonProps {
   onClick: () => void;
 }
 
-export function Button({ icon, label, keys, bare, kind = "plain", pressed, disabled, onClick }: ButtonProps): JSX.Element {
-  const title = keys === undefined ? label : `${label} (${keys})`;
+export function Button({ icon, label, hint, keys, bare, kind = "plain", pressed, disabled, onClick }: ButtonProps): JSX.Element {
+  const title = hint ?? (keys === undefined ? label : `${label} (${keys})`);
   return (
     <button
       type="button"
@@ -97,6 +100,8 @@ export function NumberInput({ label, value, step = 0.1, min, max, digits = 3, di
       disabled={disabled}
       onChange={(event) => take(event.currentTarget)}
       onKeyDown={(event) => {
+        // Undo takes back what the page did; what was typed and not taken is dropped.
+        if ((event.ctrlKey || event.metaKey) && ["z", "y"].includes(event.key.toLowerCase())) event.currentTarget.value = shown;
         // What was typed is taken, and the next key is the page's.
         if (event.key === "Enter") event.currentTarget.blur();
       }}
@@ -159,11 +164,6 @@ export function Facts({ rows }: { rows: readonly (readonly [string, string, stri
 /** A number of things, such as "1 handle". */
 export function things(n: number, one: string): string {
   return `${count(n)} ${one}${n === 1 ? "" : "s"}`;
-}
-
-/** Whole numbers with commas, as the server writes them. */
-export function count(n: number | bigint | undefined): string {
-  return (n ?? 0).toLocaleString("en");
 }
 
 /** A time in a clip. */
