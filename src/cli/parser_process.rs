@@ -3,7 +3,7 @@
 //! It is this program, started with a first argument that no help lists. It inherits a socket to the server and nothing else: no other
 //! file, no environment. Before it reads from it, it gives up what decoding does not need. It cannot write or open files, start
 //! processes, or use the network; a filter of system calls ends it where it tries. The server raises the limit of its memory as far as
-//! memory was reserved for it.
+//! memory was reserved for it, and ends it when the caller gives up, or after the time that it has; it ends with the server, too.
 
 #[cfg(target_os = "linux")]
 pub(super) use confined::{answer, is_called, start};
@@ -13,7 +13,9 @@ pub(super) use unavailable::{answer, is_called, start};
 #[cfg(target_os = "linux")]
 mod confined {
     use crate::asset::{ParserProcess, answer_parser_calls};
-    use rustix::process::{Pid, Resource, Rlimit, getrlimit, prlimit, setrlimit};
+    use rustix::process::{
+        Pid, Resource, Rlimit, Signal, getrlimit, prlimit, set_parent_process_death_signal, setrlimit,
+    };
     use seccompiler::{
         BpfProgram, SeccompAction, SeccompCmpArgLen, SeccompCmpOp, SeccompCondition, SeccompFilter, SeccompRule,
         TargetArch,
@@ -23,15 +25,12 @@ mod confined {
     use std::io::{self, ErrorKind, Read, Write};
     use std::os::fd::{AsFd as _, AsRawFd as _, OwnedFd};
     use std::os::unix::net::UnixStream;
-    use std::os::unix::process::ExitStatusExt as _;
+    use std::os::unix::process::{CommandExt as _, ExitStatusExt as _};
     use std::process::{Child, Command, ExitCode, Stdio};
     use std::time::{Duration, Instant};
 
     /// The first argument of the process.
     const ARGUMENT: &str = "parse-apart";
-
-    /// How long the process may work, and compute.
-    const LONGEST: Duration = Duration::from_secs(600);
 
     /// How long the process may take to start.
     const LONGEST_START: Duration = Duration::from_secs(10);
@@ -53,18 +52,23 @@ mod confined {
         std::env::args_os().nth(1).is_some_and(|argument| argument == ARGUMENT)
     }
 
-    /// Gives up what decoding does not need, then decodes until no more calls come.
+    /// Gives up what decoding does not need, then decodes until no more calls come. Its first line says how many bytes of memory it holds,
+    /// or why it cannot be confined.
     pub(in super::super) fn answer() -> ExitCode {
         // What a panic would print and look up, it may not.
         std::panic::set_hook(Box::new(|_| std::process::abort()));
         let answered = || -> io::Result<()> {
             let socket = File::from(io::stdin().as_fd().try_clone_to_owned()?);
-            let held = confine(&socket)?;
             let (mut input, mut output) = (&socket, &socket);
-            output.write_all(&held.to_le_bytes())?;
-            if cfg!(debug_assertions)
-                && let Some(fault) = std::env::args().nth(2)
-            {
+            let fault = std::env::args().nth(2).filter(|_| cfg!(debug_assertions));
+            let confined = match fault.as_deref() {
+                Some("unconfined") => Err(io::Error::other("as a test demands")),
+                _ => confine(&socket),
+            };
+            let said = confined.as_ref().map_or_else(ToString::to_string, u64::to_string);
+            output.write_all(format!("{said}\n").as_bytes())?;
+            confined?;
+            if let Some(fault) = fault {
                 fail_as(&fault, &mut input)?;
             }
             answer_parser_calls(&mut input, &mut output)
@@ -74,6 +78,7 @@ mod confined {
 
     /// Limits this process to memory and `socket`; returns the bytes of memory that it holds.
     fn confine(socket: &File) -> io::Result<u64> {
+        set_parent_process_death_signal(Some(Signal::KILL))?;
         let status = std::fs::read_to_string("/proc/self/status")?;
         let size = status
             .lines()
@@ -83,20 +88,17 @@ mod confined {
             .ok_or(ErrorKind::InvalidData)?;
         let held = kilobytes << 10;
         set_limit(Resource::As, held.saturating_add(SPARE))?;
-        let seconds = LONGEST.as_secs();
         for (resource, most) in [
-            (Resource::Cpu, seconds),
             (Resource::Fsize, 0),
             (Resource::Core, 0),
             (Resource::Nofile, FILE_NUMBERS),
         ] {
             set_limit(resource, most)?;
         }
-        if let Ok(machine) = TargetArch::try_from(std::env::consts::ARCH) {
-            let filter = call_filter(machine, socket).map_err(io::Error::other)?;
-            let filter = BpfProgram::try_from(filter).map_err(io::Error::other)?;
-            seccompiler::apply_filter(&filter).map_err(io::Error::other)?;
-        }
+        let machine = TargetArch::try_from(std::env::consts::ARCH);
+        let filter = machine.and_then(|machine| call_filter(machine, socket)?.try_into());
+        let filter: BpfProgram = filter.map_err(io::Error::other)?;
+        seccompiler::apply_filter(&filter).map_err(io::Error::other)?;
         Ok(held)
     }
 
@@ -186,11 +188,11 @@ mod confined {
         until: Instant,
     }
 
-    /// Starts the process, and waits until it is confined.
+    /// Starts the process, which may work for so long, and waits until it is confined.
     ///
     /// # Errors
     /// When the system does not start or confine it.
-    pub(in super::super) fn start() -> io::Result<Box<dyn ParserProcess>> {
+    pub(in super::super) fn start(longest: Duration) -> io::Result<Box<dyn ParserProcess>> {
         let (socket, other_end) = UnixStream::pair()?;
         socket.set_read_timeout(Some(PATIENCE))?;
         socket.set_write_timeout(Some(PATIENCE))?;
@@ -202,28 +204,32 @@ mod confined {
         }
         let child = command
             .env_clear()
-            .current_dir("/")
+            // Ctrl-C in a terminal goes to a whole group; the server then finishes what it has begun.
+            .process_group(0)
             .stdin(OwnedFd::from(other_end))
             .stdout(Stdio::null())
             .stderr(Stdio::null())
-            .spawn()?;
+            .spawn()
+            .map_err(|error| io::Error::other(format!("/proc/self/exe: {error}")))?;
         let mut parser = ConfinedParser {
             child,
             socket,
             held: 0,
             until: Instant::now() + LONGEST_START,
         };
-        let (mut bytes, mut read) = ([0; 8], 0);
-        while read < bytes.len() {
-            match parser.read(&mut bytes[read..]) {
-                Ok(0) => return Err(io::Error::other(format!("the process for it {}", parser.end()))),
-                Ok(count) => read += count,
+        let (mut said, mut byte) = (String::new(), [0]);
+        while byte != *b"\n" {
+            match parser.read(&mut byte) {
+                Ok(0) => return Err(io::Error::other(format!("the process for it {}", parser.ended()))),
+                Ok(_) => said.push(char::from(byte[0])),
                 Err(error) if error.kind() == ErrorKind::WouldBlock => {}
                 Err(error) => return Err(error),
             }
         }
-        parser.held = u64::from_le_bytes(bytes);
-        parser.until = Instant::now() + LONGEST;
+        let confined = said.trim_end().parse();
+        parser.held =
+            confined.map_err(|_| io::Error::other(format!("no process can be confined: {}", said.trim_end())))?;
+        parser.until = Instant::now() + longest;
         Ok(Box::new(parser))
     }
 
@@ -233,6 +239,26 @@ mod confined {
                 true => Ok(()),
                 false => Err(io::Error::new(ErrorKind::TimedOut, "took longer than it may")),
             }
+        }
+
+        /// Ends the process; returns how it ended.
+        fn ended(&mut self) -> String {
+            // It is of no further use, and one that has ended stays ended.
+            let _ = self.child.kill();
+            let Ok(status) = self.child.wait() else {
+                return "cannot be ended".into();
+            };
+            let signal = match status.signal() {
+                None => return format!("failed ({status})"),
+                Some(signal) => signal,
+            };
+            let why = match signal {
+                libc::SIGABRT => "it failed, or took more memory than is allowed",
+                libc::SIGSEGV | libc::SIGBUS => "it used memory that it does not have",
+                libc::SIGSYS => "it asked the system for what it may not do",
+                _ => "it was ended from outside",
+            };
+            format!("was ended by signal {signal}: {why}")
         }
     }
 
@@ -266,29 +292,15 @@ mod confined {
         }
 
         fn end(&mut self) -> String {
-            // It is of no further use, and one that has ended stays ended.
-            let _ = self.child.kill();
-            let Ok(status) = self.child.wait() else {
-                return "cannot be ended".into();
-            };
-            let signal = match status.signal() {
-                None => return format!("failed ({status})"),
-                Some(signal) => signal,
-            };
-            let why = match signal {
-                libc::SIGABRT => "it failed, or took more memory than is allowed",
-                libc::SIGSEGV | libc::SIGBUS => "it used memory that it does not have",
-                libc::SIGSYS => "it asked the system for what it may not do",
-                libc::SIGXCPU => "it took more processor time than it may",
-                _ => "it was ended from outside",
-            };
-            format!("was ended by signal {signal}: {why}")
+            let ended = self.ended();
+            tracing::warn!("the process that decodes a file {ended}");
+            ended
         }
     }
 
     impl Drop for ConfinedParser {
         fn drop(&mut self) {
-            self.end();
+            self.ended();
         }
     }
 }
@@ -298,6 +310,7 @@ mod unavailable {
     use crate::asset::ParserProcess;
     use std::io;
     use std::process::ExitCode;
+    use std::time::Duration;
 
     pub(in super::super) fn is_called() -> bool {
         false
@@ -307,7 +320,7 @@ mod unavailable {
         ExitCode::FAILURE
     }
 
-    pub(in super::super) fn start() -> io::Result<Box<dyn ParserProcess>> {
+    pub(in super::super) fn start(_: Duration) -> io::Result<Box<dyn ParserProcess>> {
         Err(io::Error::new(
             io::ErrorKind::Unsupported,
             "only Linux confines a process for it",

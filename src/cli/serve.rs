@@ -14,7 +14,7 @@ use std::io::{IsTerminal as _, Write as _};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Instant, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 use tokio::net::TcpListener;
 
 /// Serves gRPC, gRPC-Web, HTTP and WebSocket on one port.
@@ -124,7 +124,7 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
         tracing::warn!("{remark}");
     }
     let mut session = settings.session;
-    session.apart = parsers_apart(settings.parse_apart)?;
+    session.apart = parsers_apart(settings.parse_apart, session.build)?;
     let mut signals = StopSignals::new().map_err(|e| ServeError::Signals(e.to_string()))?;
     let refuse = |e: std::io::Error| ServeError::Listen {
         address: settings.listen,
@@ -182,14 +182,15 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
     Ok(served?)
 }
 
-/// What starts the processes that decode files, once one of them has started; `None` where the configuration wants none, or says nothing
-/// and none can be had.
-fn parsers_apart(wanted: Option<bool>) -> Result<Option<ParserStarter>, ServeError> {
+/// What starts the processes that decode files, each of them for at most `longest`, once one of them has started; `None` where the
+/// configuration wants none, or says nothing and none can be had.
+fn parsers_apart(wanted: Option<bool>, longest: Duration) -> Result<Option<ParserStarter>, ServeError> {
     if wanted == Some(false) {
         return Ok(None);
     }
-    match (parser_process::start(), wanted) {
-        (Ok(_), _) => Ok(Some(ParserStarter(parser_process::start))),
+    let start = parser_process::start;
+    match (start(longest), wanted) {
+        (Ok(_), _) => Ok(Some(ParserStarter { start, longest })),
         (Err(problem), Some(_)) => Err(ServeError::ParseApart(problem.to_string())),
         (Err(problem), None) => {
             tracing::warn!("FBX and meshopt compression are decoded in this process: {problem}");

@@ -141,6 +141,29 @@ fn failing(folder: &Workplace, fault: &str) -> ServedProgram {
 }
 
 #[tokio::test]
+async fn without_a_fence_the_server_says_so_or_does_not_start() {
+    let folder = Workplace::empty();
+    let variables = [("FAULT_OF_PARSER", "unconfined")];
+    let started = |flags: &[&str], log: &str| ServedProgram::start_anywhere(folder.at(log), flags, &variables);
+    let why = "no process can be confined: as a test demands";
+    let server = started(&[], "default").expect("the server starts");
+    let warned = format!("WARN pliant::cli::serve: FBX and meshopt compression are decoded in this process: {why}");
+    assert!(server.log().contains(&warned), "{}", server.log());
+    let session = server.open(cube().text(), "").await;
+    assert!(!server.positions(&session).await.is_empty());
+    assert_eq!(children(server.id()), [0; 0]);
+    // It is as if it were asked for.
+    let asked = started(&["--parse-apart=false"], "asked").expect("the server starts");
+    assert!(!asked.log().contains("decoded in this process"), "{}", asked.log());
+    let refused = started(&["--parse-apart"], "demanded")
+        .err()
+        .expect("the server does not start");
+    for part in [why, "parse_apart: ", "--parse-apart=false"] {
+        assert!(refused.contains(part), "{refused:?} lacks {part:?}");
+    }
+}
+
+#[tokio::test]
 async fn a_process_that_fails_refuses_its_file_and_nothing_else() {
     let folder = Workplace::empty();
     for (fault, why) in [
@@ -174,6 +197,13 @@ async fn a_process_that_fails_refuses_its_file_and_nothing_else() {
         assert_eq!(server.positions(&kept).await, before);
         server.open(bar_obj(4), "").await;
         assert_eq!(children(server.id()), [0; 0], "processes are left");
+        assert_eq!(
+            server
+                .log()
+                .matches(&format!("the process that decodes a file was ended by {why}"))
+                .count(),
+            2
+        );
     }
 }
 

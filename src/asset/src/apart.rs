@@ -14,14 +14,20 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 use std::io::{self, ErrorKind, Read, Write};
+use std::time::Duration;
 
 /// Starts a process that answers calls of decoders.
 #[derive(Debug, Clone, Copy)]
-pub struct ParserStarter(pub fn() -> io::Result<Box<dyn ParserProcess>>);
+pub struct ParserStarter {
+    /// Starts one, which is given up after that time.
+    pub start: fn(longest: Duration) -> io::Result<Box<dyn ParserProcess>>,
+    /// How long it may work.
+    pub longest: Duration,
+}
 
 impl PartialEq for ParserStarter {
     fn eq(&self, other: &Self) -> bool {
-        std::ptr::fn_addr_eq(self.0, other.0)
+        std::ptr::fn_addr_eq(self.start, other.start) && self.longest == other.longest
     }
 }
 
@@ -44,6 +50,9 @@ pub trait ParserProcess: Read + Write + Send {
 /// Bytes that a part of a message takes beside its own.
 const PART_BYTES: u64 = 64;
 
+/// Bytes that one byte of JSON may take once it is parsed: an empty text is three bytes there, and 24 in a list that may have doubled.
+const PARSED_BYTES: u64 = 24;
+
 /// Why a message did not arrive.
 enum Lost {
     /// The other side is gone, or sent something else.
@@ -61,10 +70,9 @@ impl From<io::Error> for Lost {
 /// Tries until there is progress, or until the caller gives up.
 fn waited<T>(progress: &dyn Progress, mut attempt: impl FnMut() -> io::Result<T>) -> Result<T, Lost> {
     loop {
+        progress::check(progress).map_err(|_| Lost::Refused(Error::Cancelled))?;
         match attempt() {
-            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => {
-                progress::check(progress).map_err(|_| Lost::Refused(Error::Cancelled))?;
-            }
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => {}
             done => return Ok(done?),
         }
     }
@@ -111,7 +119,7 @@ fn write_message(
     Ok(())
 }
 
-/// Reads a message. `may_take` is asked for the bytes of each part before they are allocated.
+/// Reads a message. `may_take` is asked for the bytes of each part before they are allocated, for those of the JSON with what they become.
 fn read_message<T: DeserializeOwned>(
     from: &mut (impl Read + ?Sized),
     progress: &dyn Progress,
@@ -120,7 +128,12 @@ fn read_message<T: DeserializeOwned>(
     let mut parts = Vec::new();
     for _ in 0..read_number(from, progress)? {
         let length = read_number(from, progress)?;
-        may_take(length.saturating_add(PART_BYTES)).map_err(Lost::Refused)?;
+        let beside = if parts.is_empty() {
+            length.saturating_mul(PARSED_BYTES)
+        } else {
+            0
+        };
+        may_take(length.saturating_add(beside).saturating_add(PART_BYTES)).map_err(Lost::Refused)?;
         let mut part = Vec::new();
         let length = usize::try_from(length).map_err(|_| io::Error::from(ErrorKind::OutOfMemory))?;
         part.try_reserve_exact(length).map_err(io::Error::from)?;
@@ -157,7 +170,7 @@ impl ParserCalls {
     /// # Errors
     /// [`Error::NotStarted`].
     pub(super) fn start(starter: ParserStarter, format: Format) -> Result<Self, Error> {
-        let process = starter.0().map_err(|e| Error::NotStarted(e.to_string()))?;
+        let process = (starter.start)(starter.longest).map_err(|e| Error::NotStarted(e.to_string()))?;
         Ok(Self { process, format })
     }
 
@@ -255,6 +268,14 @@ fn io_error(lost: Lost) -> io::Error {
     }
 }
 
+/// The bytes of a message.
+#[cfg(test)]
+pub(super) fn message(message: &impl Serialize, parts: &[&[u8]]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    assert!(write_message(&mut bytes, message, parts, &progress::Silent).is_ok());
+    bytes
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -271,8 +292,7 @@ mod tests {
 
     #[test]
     fn a_message_arrives_and_a_length_without_room_is_refused_before_it_is_taken() {
-        let mut sent = Vec::new();
-        assert!(write_message(&mut sent, &"call", &[b"", b"abc"], &Silent).is_ok());
+        let sent = message(&"call", &[b"", b"abc"]);
         assert_eq!(received(&sent, 1000), Ok(vec![vec![], b"abc".to_vec()]));
         for cut in 0..sent.len() {
             assert!(received(&sent[..cut], 1000).is_err(), "{cut}");

@@ -208,3 +208,118 @@ pub(in super::super) fn answer(call: Value, mut parts: Vec<Vec<u8>>, calls: &mut
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Format;
+    use crate::apart::{ParserProcess, message};
+    use std::cell::RefCell;
+    use std::io::{Read, Write};
+    use std::time::Duration;
+
+    thread_local! {
+        /// What the next process says, whatever it is asked.
+        static SAID: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
+    }
+
+    /// A process that is not what it was when it started.
+    struct TakenProcess(io::Cursor<Vec<u8>>);
+
+    impl Read for TakenProcess {
+        fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+            self.0.read(bytes)
+        }
+    }
+
+    impl Write for TakenProcess {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    impl ParserProcess for TakenProcess {
+        fn allow(&mut self, bytes: u64) -> io::Result<()> {
+            assert!(bytes <= ROOM, "{bytes}");
+            Ok(())
+        }
+
+        fn end(&mut self) -> String {
+            "lies".into()
+        }
+    }
+
+    /// Bytes that the read may hold in all.
+    const ROOM: u64 = 4 << 20;
+
+    struct Room;
+
+    impl Progress for Room {
+        fn may_hold(&self, bytes: u64) -> bool {
+            bytes <= ROOM
+        }
+    }
+
+    /// What becomes of a file whose process says this.
+    fn read(said: Vec<u8>) -> Result<(), String> {
+        SAID.set(said);
+        let starter = ParserStarter {
+            start: |_| Ok(Box::new(TakenProcess(io::Cursor::new(SAID.take())))),
+            longest: Duration::ZERO,
+        };
+        let limits = Limits {
+            apart: Some(starter),
+            ..Limits::default()
+        };
+        let files = FileSet::single("a.fbx", "; FBX");
+        let read = crate::Model::read_watched(files, Some(Format::FBX), &limits, &Room);
+        read.map(drop).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn what_a_process_says_that_lies_is_refused_as_a_file_would_be() {
+        let translated = |companions: &[&str]| FbxAnswer::Translated {
+            companions: companions.iter().map(ToString::to_string).collect(),
+            warnings: Vec::new(),
+        };
+        let lies = [
+            message(&translated(&[]), &[]),
+            message(&translated(&["a.png"]), &[b"glTF"]),
+            message(&translated(&[]), &[b"glTF", b"more"]),
+            message(&FbxAnswer::MayHold(u64::MAX), &[]),
+            message(&FbxAnswer::MayHold(ROOM / 2), &[]),
+            message(&"something else", &[]),
+        ];
+        for said in lies {
+            let text = read(said).expect_err("refused");
+            assert!(text.contains("the process that decodes it lies"), "{text}");
+        }
+        // What it translates is read like any other file.
+        assert!(
+            read(message(&translated(&[]), &[b"no GLB"]))
+                .expect_err("refused")
+                .contains("glb")
+        );
+        // Lengths are refused before anything of them is taken, JSON by what it becomes.
+        let claims = |length: u64| [1, length].map(u64::to_le_bytes).concat();
+        let names = message(&translated(&[""; 100_000]), &[b"glTF"]);
+        let garbage = b"something else than a message".to_vec();
+        for said in [claims(u64::MAX), claims(ROOM), names, garbage] {
+            let text = read(said).expect_err("refused");
+            assert!(text.contains("the memory that reading the model takes"), "{text}");
+        }
+        // It names no limit that is none.
+        let what = "<script>".to_owned();
+        let refusal = FbxRefusal::TooLarge {
+            what,
+            seen: 2,
+            limit: 1,
+        };
+        let text = read(message(&FbxAnswer::Refused(refusal), &[])).expect_err("refused");
+        assert!(text.contains("the model"), "{text}");
+    }
+}

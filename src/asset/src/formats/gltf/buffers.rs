@@ -4,7 +4,7 @@ use super::compressed::ViewCoding;
 use super::container::GltfFault;
 use super::document::GltfDocument;
 use super::schema::{BufferView, GltfAccessor};
-use super::stored::{BufferOrigin, StoredBuffer};
+use super::stored::{BufferOrigin, StoredBuffer, ViewDecoding};
 use crate::apart::{DecodedPlace, ParserCalls};
 use crate::files::ReadWatch;
 use crate::{Error, FileSet};
@@ -22,8 +22,13 @@ use std::collections::BTreeSet;
 impl<'a> GltfDocument<'a> {
     /// Finds the bytes of every buffer.
     pub(super) fn load_bytes(mut self, files: &FileSet, watch: Option<&ReadWatch<'a>>) -> Result<Self, Error> {
-        self.bytes.apart = self.bytes.apart.or_else(|| watch?.apart);
-        self.bytes.watch = watch.cloned();
+        if let Some(watch) = watch {
+            self.bytes.decoding = ViewDecoding {
+                apart: watch.apart,
+                progress: Some(watch.progress()),
+            };
+            self.bytes.watch = Some(watch.clone());
+        }
         self.bytes.decoded = vec![OnceCell::new(); self.views.len()];
         for i in 0..self.buffers.len() {
             let stored = self.load_buffer(files, i)?;
@@ -106,7 +111,8 @@ impl<'a> GltfDocument<'a> {
         }
         let bytes = compression.count.0.saturating_mul(compression.byte_stride.0);
         // The filters make a second copy of what the codec gives. Another process holds these and the source, beside what comes back.
-        let beside = match self.bytes.apart {
+        let ViewDecoding { apart, progress } = self.bytes.decoding;
+        let beside = match apart {
             None => bytes,
             Some(_) => bytes.saturating_mul(2).saturating_add(compression.byte_length.0),
         };
@@ -119,12 +125,12 @@ impl<'a> GltfDocument<'a> {
         let place = format!("bufferViews/{index}");
         let coding = ViewCoding::of(compression, source.len() as u64, &place, self.fault)?;
         let mut calls = self.bytes.calls.borrow_mut();
-        if let (None, Some(starter)) = (&*calls, self.bytes.apart) {
+        if let (None, Some(starter)) = (&*calls, apart) {
             *calls = Some(ParserCalls::start(starter, self.fault.0)?);
         }
         let at = DecodedPlace {
             place: &format!("{place}/extensions/meshopt_compression"),
-            progress: self.bytes.watch.as_ref().map_or(&Silent, ReadWatch::progress),
+            progress: progress.unwrap_or(&Silent),
         };
         let decoded = coding.decode_at(source, at, self.fault, calls.as_mut())?;
         self.bytes.release(beside);

@@ -133,7 +133,7 @@ impl ViewCoding {
 }
 
 /// Bytes that an answer may take beside those that are decoded.
-const MESSAGE_BYTES: u64 = 4096;
+const MESSAGE_BYTES: u64 = 16 << 10;
 
 /// Answers a call of [`ViewCoding::decode_at`], in the other process.
 pub(in super::super) fn answer(call: Value, parts: &[Vec<u8>], calls: &mut AnsweredCalls<'_>) -> io::Result<()> {

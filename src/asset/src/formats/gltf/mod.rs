@@ -129,7 +129,7 @@ impl FormatCodec for GltfCodec {
             followers,
         } = *output;
         let notes: &GltfNotes = model.notes_or_refuse(format)?;
-        let doc = notes.loaded_document(model)?;
+        let doc = notes.document_to_write(model, followers.exec.map(|exec| exec.progress))?;
         let rest = &model.geometry;
         let tree = rig::FollowedNodeTree::fit(&doc, notes, followers, || {
             rig::shape_of_rows(&doc, notes, rest, positions)

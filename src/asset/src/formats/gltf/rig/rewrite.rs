@@ -15,12 +15,12 @@ use super::super::placement::joint_nodes;
 use super::super::read::parse_written;
 use super::super::references::{IN_MESH, accessors_beside_meshes};
 use super::super::schema::WholeNumber;
+use super::super::stored::ViewDecoding;
 use super::super::targets::TargetTally;
 use super::super::text::{index_of, list_of, string_of, value_at, value_of, with_member};
 use super::super::used_bytes::ByteSpans;
 use super::nodes::{MovedNode, MovedNodes};
 use super::{BindChanges, FollowedNodeTree};
-use crate::apart::ParserStarter;
 use crate::files::within;
 use crate::{Error, FollowedCounts, Format, WrittenFiles};
 use glam::{DQuat, DVec3};
@@ -31,18 +31,18 @@ use std::collections::{BTreeMap, BTreeSet};
 const MOST_REWRITTEN: u64 = 1 << 30;
 
 impl FollowedNodeTree {
-    /// Puts the moved nodes into files that were written as if none had moved, and counts the clips that change. `apart` is where their
-    /// views are decompressed.
+    /// Puts the moved nodes into files that were written as if none had moved, and counts the clips that change. `decoding` is how
+    /// their views are decompressed.
     fn rewrite(
         &self,
         written: WrittenFiles,
         format: Format,
-        apart: Option<ParserStarter>,
+        decoding: ViewDecoding<'_>,
     ) -> Result<WrittenFiles, Error> {
         let files = written.into_files("");
         let parsed = parse_written(&files, format)?;
         let mut doc = parsed.of(&files)?;
-        doc.bytes.apart = apart;
+        doc.bytes.decoding = decoding;
         let doc = doc.load_bytes(&files, None)?;
         let mut writer = RigWriter {
             uses: accessor_uses(&doc),
@@ -95,7 +95,7 @@ pub(in super::super) fn finish<'t>(
     tally.count_into(&mut followed);
     let mut written = written;
     if let Some(tree) = tree {
-        written = tree.rewrite(written, format, doc.bytes.apart)?;
+        written = tree.rewrite(written, format, doc.bytes.decoding)?;
         tree.count_into(doc, &mut followed);
         followed.rewritten_clips = written.followed.rewritten_clips;
     }
