@@ -62,6 +62,7 @@ mod confined {
             let (mut input, mut output) = (&socket, &socket);
             let fault = std::env::args().nth(2).filter(|_| cfg!(debug_assertions));
             let confined = match fault.as_deref() {
+                Some("early-crash") => std::process::abort(),
                 Some("unconfined") => Err(io::Error::other("as a test demands")),
                 _ => confine(&socket),
             };
@@ -211,6 +212,8 @@ mod confined {
             .stderr(Stdio::null())
             .spawn()
             .map_err(|error| io::Error::other(format!("/proc/self/exe: {error}")))?;
+        // With it goes the other end here: without it, the end of the process is the end of what it says.
+        drop(command);
         let mut parser = ConfinedParser {
             child,
             socket,

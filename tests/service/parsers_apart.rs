@@ -143,23 +143,27 @@ fn failing(folder: &Workplace, fault: &str) -> ServedProgram {
 #[tokio::test]
 async fn without_a_fence_the_server_says_so_or_does_not_start() {
     let folder = Workplace::empty();
-    let variables = [("FAULT_OF_PARSER", "unconfined")];
-    let started = |flags: &[&str], log: &str| ServedProgram::start_anywhere(folder.at(log), flags, &variables);
-    let why = "no process can be confined: as a test demands";
-    let server = started(&[], "default").expect("the server starts");
-    let warned = format!("WARN pliant::cli::serve: FBX and meshopt compression are decoded in this process: {why}");
-    assert!(server.log().contains(&warned), "{}", server.log());
-    let session = server.open(cube().text(), "").await;
-    assert!(!server.positions(&session).await.is_empty());
-    assert_eq!(children(server.id()), [0; 0]);
-    // It is as if it were asked for.
-    let asked = started(&["--parse-apart=false"], "asked").expect("the server starts");
-    assert!(!asked.log().contains("decoded in this process"), "{}", asked.log());
-    let refused = started(&["--parse-apart"], "demanded")
-        .err()
-        .expect("the server does not start");
-    for part in [why, "parse_apart: ", "--parse-apart=false"] {
-        assert!(refused.contains(part), "{refused:?} lacks {part:?}");
+    for (fault, why) in [
+        ("unconfined", "no process can be confined: as a test demands"),
+        ("early-crash", "the process for it was ended by signal 6: it failed"),
+    ] {
+        let variables = [("FAULT_OF_PARSER", fault)];
+        let started = |flags: &[&str], log: &str| ServedProgram::start_anywhere(folder.at(log), flags, &variables);
+        let server = started(&[], "default").expect("the server starts");
+        let warned = format!("WARN pliant::cli::serve: FBX and meshopt compression are decoded in this process: {why}");
+        assert!(server.log().contains(&warned), "{}", server.log());
+        let session = server.open(cube().text(), "").await;
+        assert!(!server.positions(&session).await.is_empty());
+        assert_eq!(children(server.id()), [0; 0]);
+        // It is as if it were asked for.
+        let asked = started(&["--parse-apart=false"], "asked").expect("the server starts");
+        assert!(!asked.log().contains("decoded in this process"), "{}", asked.log());
+        let refused = started(&["--parse-apart"], "demanded")
+            .err()
+            .expect("the server does not start");
+        for part in [why, "parse_apart: ", "--parse-apart=false"] {
+            assert!(refused.contains(part), "{refused:?} lacks {part:?}");
+        }
     }
 }
 
