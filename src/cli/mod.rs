@@ -15,6 +15,7 @@ mod input_files;
 mod inspect;
 mod mcp;
 mod output_files;
+mod parser_process;
 mod render;
 mod result_args;
 mod rig;
@@ -95,6 +96,9 @@ enum PliantCommand {
 
 /// Runs the command line of this process.
 pub fn main() -> ExitCode {
+    if parser_process::is_called() {
+        return parser_process::answer();
+    }
     let args = match PliantArgs::try_parse() {
         Ok(args) => args,
         Err(e) => return answer_usage(&e),

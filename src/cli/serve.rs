@@ -1,8 +1,9 @@
 //! `pliant serve`: the server as a program.
 
+use super::parser_process;
 use super::terminal::{CliFailure, StopSignals};
-use crate::asset::FileSet;
 use crate::asset::sample::{BuiltInModel, HANDLES};
+use crate::asset::{FileSet, ParserStarter};
 use crate::engine::{Handle, HandlePose, HandleSet, Region};
 use crate::server;
 use crate::server::config::{ConfigKeys, LogFormat, ServeSettings};
@@ -13,7 +14,7 @@ use std::io::{IsTerminal as _, Write as _};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Instant, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 use tokio::net::TcpListener;
 
 /// Serves gRPC, gRPC-Web, HTTP and WebSocket on one port.
@@ -50,6 +51,11 @@ pub enum ServeError {
     /// Spans cannot be sent.
     #[error("otlp_endpoint: {0}")]
     Traces(String),
+    /// Files cannot be decoded apart, and the configuration demands it.
+    #[error(
+        "parse_apart: {0}; with --parse-apart=false FBX and meshopt compression are decoded in the server's own process"
+    )]
+    ParseApart(String),
     /// The sessions cannot be held.
     #[error("{0}")]
     Session(#[from] session::Error),
@@ -66,7 +72,12 @@ impl ServeError {
     pub fn is_usage(&self) -> bool {
         matches!(
             self,
-            Self::Config(_) | Self::Listen { .. } | Self::Session(_) | Self::Store(_) | Self::Traces(_)
+            Self::Config(_)
+                | Self::Listen { .. }
+                | Self::ParseApart(_)
+                | Self::Session(_)
+                | Self::Store(_)
+                | Self::Traces(_)
         )
     }
 }
@@ -112,6 +123,8 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
     for remark in &settings.remarks {
         tracing::warn!("{remark}");
     }
+    let mut session = settings.session;
+    session.apart = parsers_apart(settings.parse_apart, session.build)?;
     let mut signals = StopSignals::new().map_err(|e| ServeError::Signals(e.to_string()))?;
     let refuse = |e: std::io::Error| ServeError::Listen {
         address: settings.listen,
@@ -122,13 +135,13 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
     let (manager, store) = match &settings.store {
         Some(location) => {
             let store = Arc::new(Store::open(&location.on_port(address.port())).await?);
-            let manager = Manager::with_store(settings.session, OpenDeformer, Arc::clone(&store)).await?;
+            let manager = Manager::with_store(session, OpenDeformer, Arc::clone(&store)).await?;
             tracing::info!("sessions are kept in {location}");
             (manager, Some(store))
         }
         None => {
             tracing::info!("sessions are in memory only and end with this process; --data-dir stores them");
-            (Manager::new(settings.session)?, None)
+            (Manager::new(session)?, None)
         }
     };
     let limits = manager.config();
@@ -167,6 +180,23 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
     }
     traces.finish().await;
     Ok(served?)
+}
+
+/// What starts the processes that decode files, each of them for at most `longest`, once one of them has started; `None` where the
+/// configuration wants none, or says nothing and none can be had.
+fn parsers_apart(wanted: Option<bool>, longest: Duration) -> Result<Option<ParserStarter>, ServeError> {
+    if wanted == Some(false) {
+        return Ok(None);
+    }
+    let start = parser_process::start;
+    match (start(longest), wanted) {
+        (Ok(_), _) => Ok(Some(ParserStarter { start, longest })),
+        (Err(problem), Some(_)) => Err(ServeError::ParseApart(problem.to_string())),
+        (Err(problem), None) => {
+            tracing::warn!("FBX and meshopt compression are decoded in this process: {problem}");
+            Ok(None)
+        }
+    }
 }
 
 /// Opens a session with the built-in creature and turns its head once; answers its id.

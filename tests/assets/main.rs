@@ -3,6 +3,8 @@
 mod avatars;
 mod bones;
 mod bound;
+#[cfg(unix)]
+mod decoded_apart;
 mod decoded_memory;
 mod draco;
 mod fbx;

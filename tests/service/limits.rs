@@ -120,6 +120,7 @@ fn limits_without_a_key_are_those_of_the_program() {
         idempotency_age,
         idempotency_keys,
         quotas: _,
+        apart: _,
         drain: _,
     } = session::SessionConfig::default();
     assert_eq!(

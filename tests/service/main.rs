@@ -9,6 +9,8 @@ mod hostile_calls;
 mod http;
 mod limits;
 mod nodes;
+#[cfg(target_os = "linux")]
+mod parsers_apart;
 mod security;
 mod session;
 mod stream;

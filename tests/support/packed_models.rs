@@ -86,15 +86,26 @@ impl FbxNode {
 
 /// A GLB of positions and normals of `count` vertices, all zero, packed by `EXT_meshopt_compression`.
 pub fn meshopt_of_zeros(count: usize) -> Vec<u8> {
+    meshopt_of(&vec![[0.0; 3]; count])
+}
+
+/// A GLB of triangles, three corners for each, packed by `EXT_meshopt_compression`; normals have the numbers of positions.
+pub fn meshopt_of(corners: &[[f32; 3]]) -> Vec<u8> {
     const NAME: &str = "EXT_meshopt_compression";
-    let mut packed = meshopt::encode_vertex_buffer(&vec![[0f32; 3]; count]).expect("packs");
+    let count = corners.len();
+    let mut packed = meshopt::encode_vertex_buffer(corners).expect("packs");
     let length = packed.len();
     packed.resize(length.next_multiple_of(4), 0);
     let view = |k: usize| {
         let stream = json!({"buffer": 0, "byteLength": length, "byteStride": 12, "count": count, "mode": "ATTRIBUTES"});
         json!({"buffer": 1, "byteOffset": 12 * k * count, "byteLength": 12 * count, "byteStride": 12, "extensions": {NAME: stream}})
     };
-    let accessor = |k: usize| json!({"bufferView": k, "componentType": 5126, "count": count, "type": "VEC3", "min": [0, 0, 0], "max": [0, 0, 0]});
+    let bound = |k: usize, pick: fn(f32, f32) -> f32| corners.iter().map(|corner| corner[k]).fold(corners[0][k], pick);
+    let (least, most) = (
+        [0, 1, 2].map(|k| bound(k, f32::min)),
+        [0, 1, 2].map(|k| bound(k, f32::max)),
+    );
+    let accessor = |k: usize| json!({"bufferView": k, "componentType": 5126, "count": count, "type": "VEC3", "min": least, "max": most});
     let document = json!({
         "asset": {"version": "2.0"}, "extensionsUsed": [NAME], "extensionsRequired": [NAME],
         "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],

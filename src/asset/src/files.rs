@@ -1,5 +1,6 @@
 //! The files that make a model, as they came and as they go.
 
+use super::apart::ParserStarter;
 use super::{Error, FollowedCounts, Format};
 use bytes::Bytes;
 use glam::DVec3;
@@ -60,6 +61,8 @@ pub struct Limits {
     pub points_and_lines: bool,
     /// About how many triangles the surface around a model of Gaussian splats has.
     pub cage_triangles: u32,
+    /// What starts a process for decoders in C and C++, so that they do not run in this one. `None`: they do.
+    pub apart: Option<ParserStarter>,
 }
 
 impl Default for Limits {
@@ -71,6 +74,7 @@ impl Default for Limits {
             document_bytes: 4 << 30,
             points_and_lines: true,
             cage_triangles: Self::CAGE_TRIANGLES,
+            apart: None,
         }
     }
 }
@@ -78,6 +82,15 @@ impl Default for Limits {
 impl Limits {
     /// The default of [`Limits::cage_triangles`]. Records lack it: never change it.
     pub const CAGE_TRIANGLES: u32 = 20_000;
+
+    /// What [`Error::TooLarge`] names of these limits.
+    pub(super) const NAMES: [&str; 5] = [
+        "vertices",
+        "triangles",
+        "the bytes of the parsed document",
+        "the bytes that decoding takes",
+        READING_MEMORY,
+    ];
 
     /// For reading again what was already read once within the caller's limits.
     pub const UNLIMITED: Self = Self {
@@ -87,6 +100,7 @@ impl Limits {
         document_bytes: u64::MAX,
         points_and_lines: true,
         cage_triangles: Self::CAGE_TRIANGLES,
+        apart: None,
     };
 
     /// Refuses more render vertices than allowed.
@@ -159,6 +173,29 @@ impl<'a> ReadWatch<'a> {
         }
     }
 
+    /// Who waits for the read.
+    pub(super) fn progress(&self) -> &'a dyn Progress {
+        self.progress
+    }
+
+    /// Reserves bytes that another process holds for the read, beside the files here.
+    pub(super) fn reserve_apart(&self, bytes: u64) -> Result<(), Error> {
+        let bytes = bytes.saturating_add(self.reserved.files);
+        if self.progress.may_hold(bytes) {
+            Ok(())
+        } else {
+            Err(self.lacks_memory(bytes))
+        }
+    }
+
+    fn lacks_memory(&self, bytes: u64) -> Error {
+        Error::TooLarge {
+            what: READING_MEMORY,
+            seen: bytes,
+            limit: self.decoded_bytes,
+        }
+    }
+
     /// Stops the read once it is cancelled.
     pub(super) fn check(&self) -> Result<(), Error> {
         progress::check(self.progress).map_err(|_| Error::Cancelled)
@@ -220,17 +257,14 @@ impl<'a> ReadWatch<'a> {
         let allowed = [ahead, bytes].into_iter().find(|&b| self.progress.may_hold(b));
         match allowed {
             Some(allowed) => self.reserved.granted.store(allowed, Relaxed),
-            None => {
-                return Err(Error::TooLarge {
-                    what: "the memory that reading the model takes in bytes",
-                    seen: bytes,
-                    limit: self.decoded_bytes,
-                });
-            }
+            None => return Err(self.lacks_memory(bytes)),
         }
         Ok(())
     }
 }
+
+/// What [`Error::TooLarge`] names where the memory of a read is refused.
+const READING_MEMORY: &str = "the memory that reading the model takes in bytes";
 
 impl Deref for ReadWatch<'_> {
     type Target = Limits;

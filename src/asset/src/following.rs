@@ -202,7 +202,7 @@ pub struct ShapeFollowers<'a> {
     pub rules: Following,
     /// Rigid motions of nodes of the first base's file, none of them a joint. Their children move with them.
     pub nodes: &'a NodeMotions,
-    /// Where splats are carried along; on a thread of its own without it.
+    /// Where splats are carried along, on a thread of its own without it; and who can cancel the decompression of views.
     pub exec: Option<Exec<'a>>,
     /// What the splats of a model of their own follow, where that is known; found again without it, which takes longer.
     pub splats: Option<BoundSplats<'a>>,

@@ -156,6 +156,9 @@ pub enum Error {
     /// The work was cancelled.
     #[error("cancelled")]
     Cancelled,
+    /// The process that should decode a file did not start; the file may be as good as any.
+    #[error("the process that decodes the file did not start: {0}")]
+    NotStarted(String),
     /// No triangle was found.
     #[error("{format}: no mesh: {problem}")]
     NoMesh {

@@ -20,6 +20,7 @@
 
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
+mod apart;
 mod codec;
 mod edited;
 mod files;
@@ -38,6 +39,7 @@ mod usd;
 mod vertex_attributes;
 mod write;
 
+pub use apart::{ParserProcess, ParserStarter};
 pub use edited::{BaseModel, CapLooks, EditedModel, PrimitiveRun, VertexBlend, VertexBlends};
 pub use files::{FileSet, Limits, WrittenFiles, WrittenWarning};
 pub use following::{
@@ -45,7 +47,7 @@ pub use following::{
     NodeMotions, RigRule, ShapeFollowers,
 };
 pub use format::{Error, Format};
-pub use formats::{SplatMotion, SplatPlaces, Splats, gltf_extension_table};
+pub use formats::{SplatMotion, SplatPlaces, Splats, answer_parser_calls, gltf_extension_table};
 pub use geometry::{Geometry, Primitive, VertexCache};
 pub use look::{AlphaMode, BaseMaterial, DrawnModel, SurfaceLook, TextureUse, TextureWrap};
 pub use model::Model;

@@ -1,6 +1,7 @@
 //! A model for the other modules: the rest mesh, and the files that it came from.
 
-use super::{Error, FileSet, Format, Geometry, VertexAttributes};
+use super::apart::ParserStarter;
+use super::{Error, FileSet, Format, Geometry, Limits, VertexAttributes};
 use glam::DVec3;
 use std::any::Any;
 use std::fmt::Debug;
@@ -19,6 +20,8 @@ pub struct Model {
     pub files: FileSet,
     /// What the writers of its format have to remember beyond the files and the geometry.
     pub(super) notes: Arc<dyn FileNotes>,
+    /// What starts a process for decoders in C and C++ when its files are read again.
+    pub(super) apart: Option<ParserStarter>,
     /// What distinguishes its vertices, once computed.
     pub(super) attributes: OnceLock<VertexAttributes>,
 }
@@ -50,6 +53,14 @@ impl Model {
     pub(super) fn notes_or_refuse<T: FileNotes>(&self, format: Format) -> Result<&T, Error> {
         let problem = || format!("the model came as {}", self.format);
         self.notes().ok_or_else(|| Error::unwritable(format, problem()))
+    }
+
+    /// The limits for reading files that were written of it: none, and its decoders run where they ran for its own files.
+    pub fn limits_of_written(&self) -> Limits {
+        Limits {
+            apart: self.apart,
+            ..Limits::UNLIMITED
+        }
     }
 
     /// Bytes held for the comparison of its vertices.

@@ -8,7 +8,7 @@ use super::moving_scene::{
 };
 use super::neutral::HeldLooks;
 use super::write::neutral_model;
-use super::{Error, Format, Limits, Model, WrittenFiles};
+use super::{Error, Format, Model, WrittenFiles};
 
 impl Model {
     /// The surface of the model and its look.
@@ -234,7 +234,7 @@ impl Model {
             (writer.build(&neutral, Format::GLB)?, vertices)
         };
         let files = written.into_files(self.files.name.clone());
-        let still = Self::read(files, Some(Format::GLB), &Limits::UNLIMITED)?;
+        let still = Self::read(files, Some(Format::GLB), &self.limits_of_written())?;
         let seen = still.positions.len();
         if seen != vertices.len() {
             let problem = format!("as a GLB the model has {seen} vertices, not {}", vertices.len());

@@ -106,6 +106,7 @@ impl Model {
             geometry,
             files,
             notes,
+            apart: limits.apart,
             attributes: OnceLock::new(),
         })
     }

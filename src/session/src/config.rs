@@ -79,6 +79,8 @@ pub struct SessionConfig {
     pub idempotency_keys: usize,
     /// What each tenant may use.
     pub quotas: TenantQuotas,
+    /// What starts a process for decoders in C and C++. `None`: they run in this process.
+    pub apart: Option<pliant_asset::ParserStarter>,
     /// How long open work may go on once the server is asked to stop; enforced by the server.
     pub drain: Duration,
 }
@@ -118,6 +120,7 @@ impl Default for SessionConfig {
             idempotency_age: Duration::from_secs(600),
             idempotency_keys: 1000,
             quotas: TenantQuotas::default(),
+            apart: None,
             drain: Duration::from_secs(10),
         }
     }
@@ -196,6 +199,7 @@ impl SessionConfig {
                 document_bytes: memory_bytes,
                 points_and_lines: true,
                 cage_triangles: pliant_asset::Limits::CAGE_TRIANGLES,
+                apart: self.apart,
             },
             memory_bytes,
             graph_bytes: None,

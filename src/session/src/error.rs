@@ -241,6 +241,7 @@ impl From<pliant_asset::Error> for Error {
                 ErrorCode::InvalidArgument { malformed: true }
             }
             pliant_asset::Error::TooLarge { .. } => ErrorCode::TooLarge,
+            pliant_asset::Error::NotStarted(_) => ErrorCode::Unavailable,
             _ => ErrorCode::InvalidArgument { malformed: false },
         };
         Self::new(code, error.to_string())

@@ -16,6 +16,7 @@ pub const LIMITS: Limits = Limits {
     decoded_bytes: 32 << 20,
     document_bytes: 32 << 20,
     points_and_lines: true,
+    apart: None,
 };
 
 /// The companions that files may name: some bytes, and a material library.

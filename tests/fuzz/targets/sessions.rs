@@ -38,6 +38,7 @@ pub fn box_of_cells(cells: [usize; 3]) -> FileSet {
 /// Few enough that no job takes long.
 pub const JOB_LIMITS: DeformerLimits = DeformerLimits {
     model: Limits {
+        apart: None,
         cage_triangles: 500,
         vertices: 4000,
         triangles: 8000,
@@ -69,6 +70,7 @@ pub fn jobs(bytes: &[u8]) {
 /// Small enough that an input takes milliseconds: most of what goes wrong in an edit goes wrong among a few triangles.
 const LIMITS: DeformerLimits = DeformerLimits {
     model: Limits {
+        apart: None,
         cage_triangles: 500,
         vertices: 400,
         triangles: 800,

@@ -15,6 +15,7 @@ use std::fmt::Write as _;
 /// Vertices do not count: the soup has more of them.
 const LIMITS: DeformerLimits = DeformerLimits {
     model: Limits {
+        apart: None,
         cage_triangles: 500,
         vertices: 20_000,
         triangles: 800,

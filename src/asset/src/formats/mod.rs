@@ -51,10 +51,12 @@ mod threemf;
 
 pub use splats::{SplatMotion, SplatPlaces, Splats};
 
+use crate::apart::{AnsweredCalls, DecoderCall};
 use crate::codec::{FormatCodec, FormatTranslator};
 use crate::format::{Format, Recognition};
 use crate::{Error, FileSet, Model};
 use splats::SplatModelCodec;
+use std::io::{self, Read, Write};
 
 /// Makes the constants of [`Format`] and the tables of codecs and translators from the rows of the registry.
 macro_rules! registry {
@@ -134,6 +136,23 @@ pub(super) fn writer_of(format: Format) -> Result<&'static dyn FormatCodec, Erro
 /// What becomes of each extension of glTF when a model's shape changes, as a table of Markdown: that of `deploy/docs/formats.md`.
 pub fn gltf_extension_table() -> String {
     gltf::extension_table()
+}
+
+/// Answers the calls of decoders that another process sends, until it sends no more: what the process of a
+/// [`ParserStarter`](super::ParserStarter) runs.
+///
+/// # Errors
+/// When a call cannot be understood, or the other side is gone.
+pub fn answer_parser_calls(input: &mut (dyn Read + Send), output: &mut (dyn Write + Send)) -> io::Result<()> {
+    let mut calls = AnsweredCalls { input, output };
+    while let Some(DecoderCall { decoder, call, parts }) = calls.next()? {
+        match &*decoder {
+            fbx::DECODER => fbx::answer(call, parts, &mut calls)?,
+            gltf::MESHOPT_DECODER => gltf::answer_meshopt(call, &parts, &mut calls)?,
+            _ => return Err(io::ErrorKind::InvalidInput.into()),
+        }
+    }
+    Ok(())
 }
 
 /// The codec that reads files.

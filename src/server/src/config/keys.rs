@@ -144,6 +144,9 @@ pub struct ConfigKeys {
     /// Serve every client that reaches the port, without authentication, from other machines too.
     #[arg(long, value_name = "BOOL", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
     pub insecure_open: Option<KeyValue<bool>>,
+    /// Decode FBX and meshopt compression in a process that may do nothing else [default: true where the system can].
+    #[arg(long, value_name = "BOOL", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
+    pub parse_apart: Option<KeyValue<bool>>,
     /// Log filter, such as info or info,pliant=debug.
     #[arg(long, value_name = "DIRECTIVES")]
     pub log: Option<KeyValue<String>>,

@@ -39,6 +39,8 @@ pub struct ServeSettings {
     pub otlp_endpoint: Option<String>,
     /// Where sessions are kept; `None`: in memory alone.
     pub store: Option<StoreLocation>,
+    /// Whether files are decoded by C and C++ in a process of its own only; `None`: where that can be had.
+    pub parse_apart: Option<bool>,
     /// Whether a session with the built-in creature is opened at the start.
     pub sample: bool,
     /// What should be said about the configuration once logs are open.
@@ -96,6 +98,7 @@ impl ServeSettings {
             log_format,
             otlp_endpoint: otlp_endpoint(&merged)?,
             store: store_location(&merged)?,
+            parse_apart: KeyValue::read(&keys.parse_apart),
             sample: KeyValue::read(&keys.sample).unwrap_or(false),
             remarks,
         })

@@ -1,10 +1,11 @@
 //! The bytes behind buffers and buffer views, wherever they are kept, and what URIs name. Nothing is ever fetched or opened.
 
-use super::compressed;
+use super::compressed::ViewCoding;
 use super::container::GltfFault;
 use super::document::GltfDocument;
 use super::schema::{BufferView, GltfAccessor};
-use super::stored::{BufferOrigin, StoredBuffer};
+use super::stored::{BufferOrigin, StoredBuffer, ViewDecoding};
+use crate::apart::{DecodedPlace, ParserCalls};
 use crate::files::ReadWatch;
 use crate::{Error, FileSet};
 use base64::Engine as _;
@@ -13,6 +14,7 @@ use base64::engine::DecodePaddingMode;
 use base64::engine::general_purpose::{GeneralPurpose, GeneralPurposeConfig};
 use bytes::Bytes;
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, percent_decode_str, utf8_percent_encode};
+use pliant_exec::progress::Silent;
 use std::borrow::Cow;
 use std::cell::OnceCell;
 use std::collections::BTreeSet;
@@ -20,7 +22,13 @@ use std::collections::BTreeSet;
 impl<'a> GltfDocument<'a> {
     /// Finds the bytes of every buffer.
     pub(super) fn load_bytes(mut self, files: &FileSet, watch: Option<&ReadWatch<'a>>) -> Result<Self, Error> {
-        self.bytes.watch = watch.cloned();
+        if let Some(watch) = watch {
+            self.bytes.decoding = ViewDecoding {
+                apart: watch.apart,
+                progress: Some(watch.progress()),
+            };
+            self.bytes.watch = Some(watch.clone());
+        }
         self.bytes.decoded = vec![OnceCell::new(); self.views.len()];
         for i in 0..self.buffers.len() {
             let stored = self.load_buffer(files, i)?;
@@ -101,16 +109,31 @@ impl<'a> GltfDocument<'a> {
         if let Some(bytes) = cell.and_then(OnceCell::get) {
             return Ok(bytes);
         }
-        // The filters make a second copy of what the codec gives.
         let bytes = compression.count.0.saturating_mul(compression.byte_stride.0);
-        self.bytes.reserve(bytes.saturating_mul(2))?;
+        // The filters make a second copy of what the codec gives. Another process holds these and the source, beside what comes back.
+        let ViewDecoding { apart, progress } = self.bytes.decoding;
+        let beside = match apart {
+            None => bytes,
+            Some(_) => bytes.saturating_mul(2).saturating_add(compression.byte_length.0),
+        };
+        self.bytes.reserve(bytes.saturating_add(beside))?;
         let source = self.bytes_of(
             compression.buffer.index(),
             compression.offset(),
             compression.byte_length.0,
-        );
-        let decoded = compressed::decode(source?, compression, &format!("bufferViews/{index}"), self.fault)?;
-        self.bytes.release(bytes);
+        )?;
+        let place = format!("bufferViews/{index}");
+        let coding = ViewCoding::of(compression, source.len() as u64, &place, self.fault)?;
+        let mut calls = self.bytes.calls.borrow_mut();
+        if let (None, Some(starter)) = (&*calls, apart) {
+            *calls = Some(ParserCalls::start(starter, self.fault.0)?);
+        }
+        let at = DecodedPlace {
+            place: &format!("{place}/extensions/meshopt_compression"),
+            progress: progress.unwrap_or(&Silent),
+        };
+        let decoded = coding.decode_at(source, at, self.fault, calls.as_mut())?;
+        self.bytes.release(beside);
         Ok(cell.map_or(&[], |cell| cell.get_or_init(|| decoded)))
     }
 

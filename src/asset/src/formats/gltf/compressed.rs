@@ -6,55 +6,146 @@
 use super::container::GltfFault;
 use super::schema::ViewCompression;
 use crate::Error;
+use crate::apart::{AnsweredCalls, DecodedPlace, ParserCalls};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::io;
 
-/// Decodes one view. `source` is the compressed range; the result has exactly `count * byteStride` bytes.
-pub(super) fn decode(source: &[u8], c: &ViewCompression, place: &str, fault: GltfFault) -> Result<Vec<u8>, Error> {
-    let place = format!("{place}/extensions/meshopt_compression");
-    let malformed = |problem: String| fault.malformed(place.clone(), problem);
-    let stride = c.byte_stride.index();
-    let allowed = match c.mode.as_str() {
-        "ATTRIBUTES" => (4..=256).contains(&stride) && stride.is_multiple_of(4),
-        "TRIANGLES" | "INDICES" => stride == 2 || stride == 4,
-        mode => {
-            return Err(malformed(format!(
-                "mode {mode:?} is not ATTRIBUTES, TRIANGLES or INDICES"
-            )));
+/// What calls of this decoder name.
+pub(in super::super) const DECODER: &str = "meshopt";
+
+/// How a view is compressed, checked.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+pub(super) struct ViewCoding {
+    mode: ViewMode,
+    filter: MeshoptFilter,
+    stride: usize,
+    count: usize,
+}
+
+/// What a compressed view holds.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+enum ViewMode {
+    Attributes,
+    Triangles,
+    Indices,
+}
+
+impl ViewCoding {
+    /// Checks how a view of `source` compressed bytes is compressed.
+    pub(super) fn of(c: &ViewCompression, source: u64, place: &str, fault: GltfFault) -> Result<Self, Error> {
+        let place = format!("{place}/extensions/meshopt_compression");
+        let malformed = |problem: String| fault.malformed(place.clone(), problem);
+        let stride = c.byte_stride.index();
+        let (mode, allowed) = match c.mode.as_str() {
+            "ATTRIBUTES" => (
+                ViewMode::Attributes,
+                (4..=256).contains(&stride) && stride.is_multiple_of(4),
+            ),
+            "TRIANGLES" => (ViewMode::Triangles, stride == 2 || stride == 4),
+            "INDICES" => (ViewMode::Indices, stride == 2 || stride == 4),
+            mode => {
+                return Err(malformed(format!(
+                    "mode {mode:?} is not ATTRIBUTES, TRIANGLES or INDICES"
+                )));
+            }
+        };
+        if !allowed {
+            return Err(malformed(format!("stride {stride} does not go with mode {}", c.mode)));
         }
-    };
-    if !allowed {
-        return Err(malformed(format!("stride {stride} does not go with mode {}", c.mode)));
-    }
-    let filter = MeshoptFilter::of(c, stride, &malformed)?;
-    let count = c.count.index();
-    if count == 0 {
-        return Ok(Vec::new());
-    }
-    // The densest streams there are: one control byte stands for 1024 bytes of attributes, one code for a triangle or
-    // an index.
-    let (least, what) = match c.mode.as_str() {
-        "ATTRIBUTES" => ((c.count.0.saturating_mul(c.byte_stride.0)) / 1024, "attributes"),
-        "TRIANGLES" if !count.is_multiple_of(3) => {
-            return Err(malformed(format!("{count} indices do not make triangles")));
+        let filter = MeshoptFilter::of(c, stride, &malformed)?;
+        let count = c.count.index();
+        // The densest streams there are: one control byte stands for 1024 bytes of attributes, one code for a triangle or
+        // an index.
+        let (least, what) = match mode {
+            ViewMode::Attributes => ((c.count.0.saturating_mul(c.byte_stride.0)) / 1024, "attributes"),
+            ViewMode::Triangles if !count.is_multiple_of(3) => {
+                return Err(malformed(format!("{count} indices do not make triangles")));
+            }
+            ViewMode::Triangles => (c.count.0 / 3, "indices"),
+            ViewMode::Indices => (c.count.0, "indices"),
+        };
+        if source < least {
+            return Err(malformed(format!("{source} bytes cannot hold {count} {what}")));
         }
-        "TRIANGLES" => (c.count.0 / 3, "indices"),
-        _ => (c.count.0, "indices"),
-    };
-    if (source.len() as u64) < least {
-        return Err(malformed(format!("{} bytes cannot hold {count} {what}", source.len())));
+        Ok(Self {
+            mode,
+            filter,
+            stride,
+            count,
+        })
     }
-    let decoded = match c.mode.as_str() {
-        "ATTRIBUTES" => decode_attributes(source, count, stride),
-        "TRIANGLES" if stride == 2 => meshopt::decode_index_buffer::<u16>(source, count).map(|i| u16_bytes(&i)),
-        "TRIANGLES" => meshopt::decode_index_buffer::<u32>(source, count).map(|i| u32_bytes(&i)),
-        _ if stride == 2 => meshopt::decode_index_sequence::<u16>(source, count).map(|i| u16_bytes(&i)),
-        _ => meshopt::decode_index_sequence::<u32>(source, count).map(|i| u32_bytes(&i)),
-    };
-    let bytes = decoded.map_err(|e| malformed(format!("the compressed bytes are damaged ({e})").to_lowercase()))?;
-    Ok(filter.apply(bytes, stride))
+
+    /// Decodes a view: `count` times `stride` bytes. The error is that of the decoder.
+    fn decode(self, source: &[u8]) -> Result<Vec<u8>, String> {
+        let Self { count, stride, .. } = self;
+        if count == 0 {
+            return Ok(Vec::new());
+        }
+        let decoded = match self.mode {
+            ViewMode::Attributes => decode_attributes(source, count, stride),
+            ViewMode::Triangles if stride == 2 => {
+                meshopt::decode_index_buffer::<u16>(source, count).map(|i| u16_bytes(&i))
+            }
+            ViewMode::Triangles => meshopt::decode_index_buffer::<u32>(source, count).map(|i| u32_bytes(&i)),
+            ViewMode::Indices if stride == 2 => {
+                meshopt::decode_index_sequence::<u16>(source, count).map(|i| u16_bytes(&i))
+            }
+            ViewMode::Indices => meshopt::decode_index_sequence::<u32>(source, count).map(|i| u32_bytes(&i)),
+        };
+        let bytes = decoded.map_err(|e| e.to_string())?;
+        Ok(self.filter.apply(bytes, stride))
+    }
+
+    /// Decodes a view in this process, or through `calls` in another one.
+    pub(super) fn decode_at(
+        self,
+        source: &[u8],
+        at: DecodedPlace<'_>,
+        fault: GltfFault,
+        calls: Option<&mut ParserCalls>,
+    ) -> Result<Vec<u8>, Error> {
+        let decoded = match calls {
+            None => self.decode(source),
+            Some(calls) => {
+                let length = (self.count as u64).saturating_mul(self.stride as u64);
+                calls.allow((source.len() as u64).saturating_add(length.saturating_mul(2)), at)?;
+                calls.send(&(DECODER, self), &[source], at)?;
+                let mut room = length.saturating_add(MESSAGE_BYTES);
+                let (answer, mut parts) = calls.receive(at, &mut |bytes| {
+                    room = room
+                        .checked_sub(bytes)
+                        .ok_or_else(|| fault.malformed(at.place, "decodes to more than its count"))?;
+                    Ok(())
+                })?;
+                match answer {
+                    Ok(()) => match parts.pop() {
+                        Some(bytes) if bytes.len() as u64 == length => Ok(bytes),
+                        _ => return Err(calls.unexpected(at)),
+                    },
+                    Err(problem) => Err(problem),
+                }
+            }
+        };
+        let damaged = |problem| format!("the compressed bytes are damaged ({problem})").to_lowercase();
+        decoded.map_err(|problem: String| fault.malformed(at.place, damaged(problem)))
+    }
+}
+
+/// Bytes that an answer may take beside those that are decoded.
+const MESSAGE_BYTES: u64 = 16 << 10;
+
+/// Answers a call of [`ViewCoding::decode_at`], in the other process.
+pub(in super::super) fn answer(call: Value, parts: &[Vec<u8>], calls: &mut AnsweredCalls<'_>) -> io::Result<()> {
+    let coding: ViewCoding = serde_json::from_value(call)?;
+    match coding.decode(parts.first().map_or(&[], |source| source)) {
+        Ok(bytes) => calls.write(&Ok::<(), String>(()), &[&bytes]),
+        Err(problem) => calls.write(&Err::<(), String>(problem), &[]),
+    }
 }
 
 /// What is done to attributes after the codec.
-#[derive(Clone, Copy)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 enum MeshoptFilter {
     None,
     Octahedral,
@@ -173,6 +264,7 @@ fn decode_attributes(source: &[u8], count: usize, stride: usize) -> meshopt::Res
 mod tests {
     use super::*;
     use crate::Format;
+    use pliant_exec::progress::Silent;
 
     fn described(mode: &str, filter: &str, stride: usize, count: usize) -> ViewCompression {
         let json = format!(
@@ -183,7 +275,14 @@ mod tests {
 
     fn run(source: &[u8], mode: &str, filter: &str, stride: usize, count: usize) -> Result<Vec<u8>, String> {
         let c = described(mode, filter, stride, count);
-        decode(source, &c, "bufferViews/0", GltfFault(Format::GLB)).map_err(|e| e.to_string())
+        let at = DecodedPlace {
+            place: "bufferViews/0/extensions/meshopt_compression",
+            progress: &Silent,
+        };
+        let fault = GltfFault(Format::GLB);
+        let coding = ViewCoding::of(&c, source.len() as u64, "bufferViews/0", fault);
+        let decoded = coding.and_then(|coding| coding.decode_at(source, at, fault, None));
+        decoded.map_err(|e| e.to_string())
     }
 
     fn attributes<const N: usize>(data: &[[u8; N]], version: i32) -> Vec<u8> {

@@ -83,6 +83,7 @@ mod used_bytes;
 pub(super) use buffers::media_type_of;
 pub(super) use buffers::of_file_name as uri_of_name;
 pub(super) use builder::GlbWriter;
+pub(super) use compressed::{DECODER as MESHOPT_DECODER, answer as answer_meshopt};
 pub(super) use document::{GLB_FORMAT, GLTF_FORMAT};
 pub(super) use extensions::extension_table;
 pub(super) use fresh::unit_normals;
@@ -128,7 +129,7 @@ impl FormatCodec for GltfCodec {
             followers,
         } = *output;
         let notes: &GltfNotes = model.notes_or_refuse(format)?;
-        let doc = notes.loaded_document(model)?;
+        let doc = notes.document_to_write(model, followers.exec.map(|exec| exec.progress))?;
         let rest = &model.geometry;
         let tree = rig::FollowedNodeTree::fit(&doc, notes, followers, || {
             rig::shape_of_rows(&doc, notes, rest, positions)

@@ -7,11 +7,12 @@ use super::elements::{indices_beyond, to_triangles};
 use super::placement::{Placement, SkinPose, SkinSeams, VertexInfluences, VertexTransforms};
 use super::scene::{self, MeshPlacement, PlacedScene};
 use super::schema::{DRACO, MeshPrimitive};
+use super::stored::ViewDecoding;
 use crate::files::{ReadWatch, within};
 use crate::model::FileNotes;
 use crate::{Error, FileSet, Format, Geometry, Limits, Model, Primitive};
 use glam::{DMat3, DVec3, Vec3, Vec4};
-use pliant_exec::progress::Silent;
+use pliant_exec::progress::{Progress, Silent};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -63,7 +64,21 @@ impl GltfNotes {
 
     /// The document of the model with the bytes of its buffers.
     pub(super) fn loaded_document<'a>(&'a self, model: &'a Model) -> Result<GltfDocument<'a>, Error> {
-        self.document(model)?.load_bytes(self.files(model), None)
+        self.document_to_write(model, None)
+    }
+
+    /// As [`GltfNotes::loaded_document`], for work that may be cancelled.
+    pub(super) fn document_to_write<'a>(
+        &'a self,
+        model: &'a Model,
+        progress: Option<&'a dyn Progress>,
+    ) -> Result<GltfDocument<'a>, Error> {
+        let mut document = self.document(model)?;
+        document.bytes.decoding = ViewDecoding {
+            apart: model.apart,
+            progress,
+        };
+        document.load_bytes(self.files(model), None)
     }
 }
 

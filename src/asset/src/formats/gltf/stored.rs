@@ -1,9 +1,11 @@
 //! The bytes of buffers, where they are kept, and what of them is decompressed.
 
 use crate::Error;
+use crate::apart::{ParserCalls, ParserStarter};
 use crate::files::ReadWatch;
 use bytes::Bytes;
-use std::cell::{Cell, OnceCell};
+use pliant_exec::progress::Progress;
+use std::cell::{Cell, OnceCell, RefCell};
 
 /// Where a buffer's bytes are kept.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -25,6 +27,15 @@ pub(super) struct StoredBuffer {
     pub(super) bytes: Option<Bytes>,
 }
 
+/// How views are decompressed.
+#[derive(Clone, Copy, Default)]
+pub(super) struct ViewDecoding<'w> {
+    /// What starts the process that decompresses; without it, views are decompressed in this one.
+    pub(super) apart: Option<ParserStarter>,
+    /// Who waits for that process; without it, its own time ends the wait.
+    pub(super) progress: Option<&'w dyn Progress>,
+}
+
 /// The bytes of all buffers of a document, and the decompressed views that were asked for.
 #[derive(Default)]
 pub(super) struct BufferBytes<'w> {
@@ -33,6 +44,9 @@ pub(super) struct BufferBytes<'w> {
     pub(super) decoded: Vec<OnceCell<Vec<u8>>>,
     /// Allows the bytes of what is decoded; without it they are not counted.
     pub(super) watch: Option<ReadWatch<'w>>,
+    pub(super) decoding: ViewDecoding<'w>,
+    /// The process that decompresses, once it was needed.
+    pub(super) calls: RefCell<Option<ParserCalls>>,
     /// Bytes that are reserved for what is decoded.
     reserved: Cell<u64>,
 }

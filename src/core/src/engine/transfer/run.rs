@@ -2,7 +2,7 @@
 
 use super::command::{ShapeFacts, TransferCommand, TransferReport, Transferred};
 use super::places::{OrientedPoint, SurfacePlace, places_on};
-use crate::asset::{self, BlendShape, BlendShapes, Format, Limits, Model, Splats, WrittenFiles, WrittenWarning};
+use crate::asset::{self, BlendShape, BlendShapes, Format, Model, Splats, WrittenFiles, WrittenWarning};
 use crate::deform::{CarriedMotion, FaceSurroundings, SurfaceTransfer, unfold_vertices};
 use crate::engine::Deformer;
 use crate::engine::derived_structures::admit_bytes;
@@ -247,7 +247,8 @@ impl TransferRun<'_> {
         let Self { carrier, exec, .. } = self;
         let written = self.deformer.write(self.positions, Format::GLB, exec)?;
         let files = written.into_files("model.glb");
-        let model = Model::read_watched(files, Some(Format::GLB), &Limits::UNLIMITED, exec.progress)?;
+        let limits = self.deformer.model().limits_of_written();
+        let model = Model::read_watched(files, Some(Format::GLB), &limits, exec.progress)?;
         let mesh = Mesh::build(&model.positions, &model.triangles, Weld::Exact)
             .map_err(|e| Error::Precondition(format!("the model as a GLB: {e}")))?;
         let is_same = carrier.is_same && mesh.solver_from_render == self.own.solver_from_render;

@@ -93,7 +93,7 @@ impl<'a> BaseJoiner<'_, 'a> {
     ) -> Result<(), Error> {
         let model = self.edited.bases[base].model;
         let placing = self.edited.bases[base].world_from_model;
-        let doc = notes.loaded_document(model)?;
+        let doc = notes.document_to_write(model, self.frame.bytes.decoding.progress)?;
         let mut runs_of: BTreeMap<(usize, usize), Vec<&PrimitiveRun>> = BTreeMap::new();
         for run in runs {
             let row = &notes.rows[run.primitive as usize];

@@ -48,7 +48,7 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
     let Some((model, notes)) = first.and_then(|model| Some((model, model.notes::<GltfNotes>()?))) else {
         return Err(fault.unwritable("the first base is not glTF"));
     };
-    let doc = notes.loaded_document(model)?;
+    let doc = notes.document_to_write(model, output.followers.exec.map(|exec| exec.progress))?;
     let shape = || primitives::shape_of_runs(&doc, notes, output);
     let tree = FollowedNodeTree::fit(&doc, notes, output.followers, shape)?;
     let positions = tree.as_ref().map_or(output.positions, |tree| &tree.to_write);

@@ -15,6 +15,7 @@ use super::super::placement::joint_nodes;
 use super::super::read::parse_written;
 use super::super::references::{IN_MESH, accessors_beside_meshes};
 use super::super::schema::WholeNumber;
+use super::super::stored::ViewDecoding;
 use super::super::targets::TargetTally;
 use super::super::text::{index_of, list_of, string_of, value_at, value_of, with_member};
 use super::super::used_bytes::ByteSpans;
@@ -30,11 +31,19 @@ use std::collections::{BTreeMap, BTreeSet};
 const MOST_REWRITTEN: u64 = 1 << 30;
 
 impl FollowedNodeTree {
-    /// Puts the moved nodes into files that were written as if none had moved, and counts the clips that change.
-    fn rewrite(&self, written: WrittenFiles, format: Format) -> Result<WrittenFiles, Error> {
+    /// Puts the moved nodes into files that were written as if none had moved, and counts the clips that change. `decoding` is how
+    /// their views are decompressed.
+    fn rewrite(
+        &self,
+        written: WrittenFiles,
+        format: Format,
+        decoding: ViewDecoding<'_>,
+    ) -> Result<WrittenFiles, Error> {
         let files = written.into_files("");
         let parsed = parse_written(&files, format)?;
-        let doc = parsed.of(&files)?.load_bytes(&files, None)?;
+        let mut doc = parsed.of(&files)?;
+        doc.bytes.decoding = decoding;
+        let doc = doc.load_bytes(&files, None)?;
         let mut writer = RigWriter {
             uses: accessor_uses(&doc),
             spans: ByteSpans::collect(&doc),
@@ -86,7 +95,7 @@ pub(in super::super) fn finish<'t>(
     tally.count_into(&mut followed);
     let mut written = written;
     if let Some(tree) = tree {
-        written = tree.rewrite(written, format)?;
+        written = tree.rewrite(written, format, doc.bytes.decoding)?;
         tree.count_into(doc, &mut followed);
         followed.rewritten_clips = written.followed.rewritten_clips;
     }
