@@ -70,7 +70,7 @@ class Pose:
             raise ValueError("the matrix shears; a pose scales along x, y and z, then turns, then moves")
         if np.linalg.det(turn) < 0:
             raise ValueError("the matrix mirrors; scales above 0 are allowed")
-        return Pose(translation=matrix[:3, 3], rotation=_quaternion(turn), scale=scale, pivot=(0.0, 0.0, 0.0))
+        return Pose(translation=matrix[:3, 3], rotation=quaternion_of(turn), scale=scale, pivot=(0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,22 @@ PoseLike: TypeAlias = Union[Pose, Targets, GuidePose, PoseFields, "npt.NDArray[A
 Poses: TypeAlias = Mapping[str, PoseLike]
 
 
-def _quaternion(turn: npt.NDArray[np.float64]) -> list[float]:
+def matrix_of(rotation: Sequence[float] = (), rotation_vector: Sequence[float] = ()) -> npt.NDArray[np.float64]:
+    """The rotation matrix of a unit quaternion x, y, z, w, or else of an axis times an angle in radians; without both it turns nothing."""
+    if len(rotation) == 0:
+        angle = float(np.linalg.norm(rotation_vector)) if len(rotation_vector) else 0.0
+        axis = np.array(rotation_vector) / angle if angle > 0 else np.zeros(3)
+        rotation = [*(axis * np.sin(angle / 2)), np.cos(angle / 2)]
+    x, y, z, w = np.array(rotation) / np.linalg.norm(rotation)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.array(rows)
+
+
+def quaternion_of(turn: npt.NDArray[np.float64]) -> list[float]:
     """x, y, z, w of a rotation matrix, by way of its largest component."""
     xx, yy, zz = (float(turn[k, k]) for k in range(3))
     squares = [1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz, 1 + xx + yy + zz]
