@@ -28,6 +28,7 @@ class PoseFields(TypedDict, total=False):
     translation: Vector
     rotation: Vector
     rotation_vector: Vector
+    rotation_degrees: Vector
     scale: float | Vector
     pivot: Vector
     free_rotation: bool
@@ -39,7 +40,7 @@ class Pose:
 
     #: x, y, z in model units.
     translation: Vector | None = None
-    #: Unit quaternion x, y, z, w; not together with ``rotation_vector``.
+    #: Unit quaternion x, y, z, w; of ``rotation``, ``rotation_vector`` and ``rotation_degrees`` a pose has one at most.
     rotation: Vector | None = None
     #: Axis times angle in radians; any number of turns counts.
     rotation_vector: Vector | None = None
@@ -49,6 +50,9 @@ class Pose:
     pivot: Vector | None = None
     #: The rotation is found: the region turns about the pivot until what it hangs on is bent least.
     free_rotation: bool = False
+    #: Axis times angle in degrees: ``(0, 45, 0)`` turns about y. It is a ``rotation_vector`` in another unit, not three angles one after
+    #: the other.
+    rotation_degrees: Vector | None = None
 
     @staticmethod
     def from_matrix(model_from_rest: npt.ArrayLike) -> Pose:
@@ -173,8 +177,8 @@ def to_message(pose: PoseLike, origin: Sequence[float] = ()) -> pb.HandlePose:
         fields = mapping("pose", pose, "a pliant.Pose, a dict of its fields, or an array of shape (4, 4)")
         fields = {snake_case(name): value for name, value in fields.items()}
         for name in fields:
-            if name not in _LENGTHS and name != "free_rotation":
-                raise TypeError(f"{seen(name)}: no such field of a pose; allowed are {', '.join(_LENGTHS)}, free_rotation")
+            if name not in _FIELDS:
+                raise TypeError(f"{seen(name)}: no such field of a pose; allowed are {', '.join(_FIELDS)}")
         pose = Pose(**fields)
     message = pb.HandlePose()
     if not isinstance(pose.free_rotation, bool):
@@ -183,14 +187,19 @@ def to_message(pose: PoseLike, origin: Sequence[float] = ()) -> pb.HandlePose:
     for name, allowed in _LENGTHS.items():
         value = getattr(pose, name)
         if name == "rotation" and value is not None and array(name, value).size == 3:
-            hint = "an axis times an angle in radians is rotation_vector, such as (0, math.radians(45), 0)"
+            hint = "an axis times an angle is rotation_degrees, such as (0, 45, 0), or rotation_vector in radians"
             raise ValueError(f"rotation: 3 numbers, a quaternion of 4, (x, y, z, w), is allowed; {hint}")
         if value is not None:
             getattr(message, name).extend(numbers(name, value, allowed))
+    if pose.rotation_degrees is not None:
+        if pose.rotation is not None or pose.rotation_vector is not None:
+            raise ValueError("rotation_degrees: a pose has one rotation; leave out rotation and rotation_vector")
+        message.rotation_vector.extend(np.radians(numbers("rotation_degrees", pose.rotation_degrees, (3,))).tolist())
     return message
 
 
 _LENGTHS = {"translation": (3,), "rotation": (4,), "rotation_vector": (3,), "scale": (1, 3), "pivot": (3,)}
+_FIELDS = (*_LENGTHS, "rotation_degrees", "free_rotation")
 
 
 def entries(poses: Poses | Mapping[str, pb.HandlePose], origin: Sequence[float] = ()) -> dict[str, pb.HandlePose]:

@@ -132,6 +132,18 @@ def test_a_mesh_and_a_scene_of_trimesh_go_in_and_come_out(server: pliant.LocalSe
         assert repr(client) == f"<pliant.Client of {client.url}>"
 
 
+def test_degrees_turn_as_radians_do(held: pliant.Session) -> None:
+    frame = held.solve_frame({"head": {"rotation_vector": (0, np.radians(40), 0)}})
+    by_radians = frame.positions
+    assert repr(frame).startswith(f"<pliant.SolvedFrame 0: {held.vertices} vertices, revision 3, final, residual "), repr(frame)
+    held.undo()
+    assert np.array_equal(held.solve({"head": {"rotation_degrees": (0, 40, 0)}}), by_radians)
+    held.handle("head", **HEAD, rotation_degrees=(0, 40, 0))
+    held.apply()
+    [head] = [handle.pose for handle in held.info.handles if handle.id == "head"]
+    assert list(head.rotation_vector) == [0, np.radians(40), 0]
+
+
 def test_a_lattice_and_a_curve_lead_a_model(creature: Path, server: pliant.LocalServer) -> None:
     with pliant.open(creature, server=server) as session:
         rest = session.positions()
