@@ -15,7 +15,7 @@ use std::path::Path;
 use std::process::Command;
 
 /// Every page for users that has no test of its own.
-const PAGES: [&str; 33] = [
+const PAGES: [&str; 34] = [
     "README.md",
     "CONTRIBUTING.md",
     "SECURITY.md",
@@ -47,6 +47,7 @@ const PAGES: [&str; 33] = [
     "deploy/docs/other-languages.md",
     "deploy/docs/troubleshooting.md",
     "deploy/docs/wrap.md",
+    "proto/clients/comfyui/README.md",
     "proto/clients/cpp/README.md",
     "proto/clients/csharp/README.md",
 ];

@@ -79,9 +79,12 @@ class Session(Face, Declared):
         poses = list(poses) if progress and not latest else poses
         yield from self._drag(poses, commit=commit, latest=latest, progress=progress, **how)
 
-    def preview(self, width: int = preview.SIZE[0], height: int = preview.SIZE[1]) -> bytes:
-        """A small picture of the current shape, a PNG; notebooks show it for a session."""
-        return preview.picture(*preview.triangles_of(self._preview_bytes()), (width, height))
+    def preview(
+        self, width: int = preview.SIZE[0], height: int = preview.SIZE[1], view: tuple[float, float] = preview.VIEW
+    ) -> bytes:
+        """A small picture of the current shape, a PNG; notebooks show it for a session. `view` is in degrees: around the model from its
+        front (+z), and above the horizon."""
+        return preview.picture(*preview.triangles_of(self._preview_bytes()), (width, height), view)
 
     def widget(self, *, height: int = 420, free_rotation: bool = True) -> Widget:
         """The mesh in a notebook, with a dot for each handle that the pointer drags; letting go records the pose. It needs anywidget:
