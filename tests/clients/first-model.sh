@@ -22,6 +22,24 @@ with pliant.connect() as client, client.open(client.sample()) as session:
     session.export("turned.glb")
 print(f"pip: {len(bent)} vertices, {open('turned.glb', 'rb').read(4)}")
 END
+# The nodes for ComfyUI, beside it: loaded as ComfyUI loads a folder of custom_nodes.
+python3 -m zipfile -e "$files"/pliant-comfyui-*.zip custom_nodes
+python/bin/python - << 'END'
+import importlib.util
+
+import pliant
+
+with pliant.connect() as client, open("creature.glb", "wb") as file:
+    file.write(client.sample())
+spec = importlib.util.spec_from_file_location("pack", "custom_nodes/pliant-comfyui/__init__.py")
+pack = importlib.util.module_from_spec(spec)
+__import__("sys").modules["pack"] = pack
+spec.loader.exec_module(pack)
+[model] = pack.OpenMesh().open("creature.glb")
+[path] = pack.ExportMesh().export(model, "comfy", "glb")["result"]
+with pliant.open(path) as session:
+    print(f"comfyui: {len(pack.NODE_CLASS_MAPPINGS)} nodes, {session.vertices} vertices")
+END
 python3 -c "import sys; print(f'pip: {float(sys.argv[2]) - float(sys.argv[1]):.1f} s')" "$begun" "$(date +%s.%N)"
 
 # By npm: the program is in the archive for Linux, or else in the wheel.

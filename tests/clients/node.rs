@@ -8,6 +8,7 @@ use crate::support::process::{is_npm_offline, said, show};
 use std::fs;
 use std::path::Path;
 use std::process::Command;
+use std::sync::Mutex;
 
 /// The oldest node that the clients run on.
 const NODE: (u32, u32) = (20, 19);
@@ -36,6 +37,9 @@ pub(super) fn lacks_node() -> Option<String> {
 
 /// Fetches what a package's lock file names, unless it is there; why it cannot be had, if so.
 pub(super) fn install(package: &str) -> Result<(), String> {
+    /// Several tests may want the same package at a time.
+    static INSTALLING: Mutex<()> = Mutex::new(());
+    let _one = INSTALLING.lock().unwrap_or_else(|failed| failed.into_inner());
     if let Some(reason) = lacks_node() {
         return Err(reason);
     }

@@ -30,7 +30,7 @@ fn release(program: &Path, out: &Path) -> Option<()> {
         "--xz",
         "0",
         "--only",
-        "wheel,npm,archive,image,chart",
+        "wheel,npm,archive,comfyui,image,chart",
     ]);
     command.arg("--program").arg(program).arg("-o").arg(out);
     let Ok(made) = command.output() else {
@@ -94,6 +94,7 @@ fn packages_work_where_nothing_else_is() {
     }
     assert!(first.status.success(), "{reply}");
     assert!(reply.contains("pip: 8628 vertices, b'glTF'"), "{reply}");
+    assert!(reply.contains("comfyui: 5 nodes, 8628 vertices"), "{reply}");
     match lacks_node() {
         Some(lack) => show(&format!("SKIPPED: {lack}")),
         None => assert!(reply.contains("npm: 8628 vertices, glTF"), "{reply}"),

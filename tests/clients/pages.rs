@@ -15,7 +15,7 @@ use std::path::Path;
 use std::process::Command;
 
 /// Every page for users that has no test of its own.
-const PAGES: [&str; 32] = [
+const PAGES: [&str; 34] = [
     "README.md",
     "CONTRIBUTING.md",
     "SECURITY.md",
@@ -43,9 +43,11 @@ const PAGES: [&str; 32] = [
     "deploy/docs/cookbook-web.md",
     "deploy/docs/limits.md",
     "deploy/docs/nodes.md",
+    "deploy/docs/notebook.md",
     "deploy/docs/other-languages.md",
     "deploy/docs/troubleshooting.md",
     "deploy/docs/wrap.md",
+    "proto/clients/comfyui/README.md",
     "proto/clients/cpp/README.md",
     "proto/clients/csharp/README.md",
 ];
@@ -134,6 +136,11 @@ fn agents() {
             "the posed figure is written"
         );
     }
+}
+
+#[test]
+fn notebook() {
+    play("deploy/docs/notebook.md");
 }
 
 #[test]

@@ -193,6 +193,8 @@ fn a_pipeline_script_over_grpc() {
 #[test]
 #[ignore = "takes minutes; .ci/run runs it"]
 fn the_python_package_passes_its_own_tests() {
+    // What drives the browser for its notebook widget; the package's tests say what they skip without it.
+    let _ = crate::node::install("tests/clients/viewer");
     let mut tests = Command::new("sh");
     tests
         .arg(root().join("proto/clients/python/run-tests"))

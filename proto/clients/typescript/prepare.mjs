@@ -10,7 +10,7 @@ import { fileURLToPath } from "node:url";
 
 const here = fileURLToPath(new URL(".", import.meta.url));
 const COMPILER = join(here, "node_modules/typescript/bin/tsc");
-const NEEDED = [COMPILER, join(here, "node_modules/@bufbuild/protobuf/package.json")];
+const NEEDED = [COMPILER, ...["@bufbuild/protobuf", "@types/three"].map((name) => join(here, "node_modules", name, "package.json"))];
 /** Settings of the npm that asks, which are about the place that it installs into. */
 const ELSEWHERE = /^npm_config_(prefix|local_prefix|global|location|omit|include|only|production|package_lock|save.*)$/i;
 

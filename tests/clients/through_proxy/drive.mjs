@@ -1,7 +1,7 @@
 /**
  * Drags and commits sessions through a proxy until stdin ends, with the TypeScript client as it is.
  *
- *     node --experimental-websocket drive.mjs URL MODEL SESSIONS
+ *     node drive.mjs URL MODEL SESSIONS
  *
  * Says `ready` when all sessions are open, and at the end one line of JSON: what was acknowledged of each session, and how long its
  * stream was away. Nothing is caught here but what says that nothing was recorded: whatever the client does not get over by

@@ -58,9 +58,7 @@ impl Driver {
             return None;
         }
         let mut command = Command::new("node");
-        command
-            .arg("--experimental-websocket")
-            .arg(root().join("tests/clients/through_proxy/drive.mjs"));
+        command.arg(root().join("tests/clients/through_proxy/drive.mjs"));
         Some(Self::start("TypeScript", command, (url, folder, sessions)))
     }
 

@@ -95,3 +95,8 @@ __all__ = [
     "connect",
     "open",
 ]
+
+
+def __dir__() -> list[str]:
+    # What completion shows: the names above, and the modules that people import. The others are how it is made.
+    return sorted([*__all__, *({"aio", "batch", "errors", "notebook"} & globals().keys())])

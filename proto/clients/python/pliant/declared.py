@@ -74,6 +74,7 @@ class Declared:
         translation: Vector | None = None,
         rotation: Vector | None = None,
         rotation_vector: Vector | None = None,
+        rotation_degrees: Vector | None = None,
         scale: float | Vector | None = None,
         pivot: Vector | None = None,
         free_rotation: bool = False,
@@ -98,7 +99,7 @@ class Declared:
         with about(f"handle {text('handle', id, 'an id, which is text,')!r}"):
             handle = regions.handle(
                 id,
-                pose=to_message(Pose(translation, rotation, rotation_vector, scale, pivot, free_rotation)),
+                pose=to_message(Pose(translation, rotation, rotation_vector, scale, pivot, free_rotation, rotation_degrees)),
                 constrains=constrains,
                 stiffness=stiffness,
                 rigid=rigid,

@@ -32,7 +32,7 @@ _NUMBERS = {
 _STRETCHES = (pb.Frame.STRETCH, pb.Frame.SHEAR)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Frame:
     """A solved vertex buffer. The arrays are the caller's to keep and to write to."""
 
@@ -72,6 +72,11 @@ class Frame:
     #: The rotations found for handles that turn freely, by id, as axis times angle; in final frames.
     found_turns: Mapping[str, tuple[float, float, float]]
 
+    def __repr__(self) -> str:
+        kind = "final" if self.final else "on the way"
+        facts = f"revision {self.revision}, {kind}, residual {self.residual:.2g}, {self.solve_ms:.1f} ms"
+        return f"<pliant.{type(self).__name__} {self.seq}: {len(self.positions)} vertices, {facts}>"
+
     def gradients(self) -> Floats:
         """The gradient of the motion around each vertex, (render vertices, 3, 3): a covariance ``C`` of a splat becomes ``G C G^T``.
 
@@ -94,7 +99,7 @@ class Frame:
         return gradients
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SolvedFrame(Frame):
     """The frame of a recorded pose."""
 

@@ -104,10 +104,16 @@ class GuidePose:
     twists: npt.ArrayLike | None = None
     #: Of a curve, the scale across it at each point.
     scales: npt.ArrayLike | None = None
+    #: ``twists`` in degrees; a pose has one of them.
+    twist_degrees: npt.ArrayLike | None = None
 
     def to_message(self) -> pb.HandlePose:
         """The pose as the schema carries it."""
         message = pb.HandlePose()
+        if self.twist_degrees is not None:
+            if self.twists is not None:
+                raise ValueError("twist_degrees: twists are given in radians as well; leave one of them out")
+            message.guide.twists.extend(np.radians(array("twist_degrees", self.twist_degrees).astype(np.float64)).ravel().tolist())
         message.guide.positions.extend(_places("positions", self.positions).ravel().tolist())
         for name in ("twists", "scales"):
             values: Any = getattr(self, name)

@@ -28,6 +28,7 @@ class PoseFields(TypedDict, total=False):
     translation: Vector
     rotation: Vector
     rotation_vector: Vector
+    rotation_degrees: Vector
     scale: float | Vector
     pivot: Vector
     free_rotation: bool
@@ -39,7 +40,7 @@ class Pose:
 
     #: x, y, z in model units.
     translation: Vector | None = None
-    #: Unit quaternion x, y, z, w; not together with ``rotation_vector``.
+    #: Unit quaternion x, y, z, w; of ``rotation``, ``rotation_vector`` and ``rotation_degrees`` a pose has one at most.
     rotation: Vector | None = None
     #: Axis times angle in radians; any number of turns counts.
     rotation_vector: Vector | None = None
@@ -49,6 +50,9 @@ class Pose:
     pivot: Vector | None = None
     #: The rotation is found: the region turns about the pivot until what it hangs on is bent least.
     free_rotation: bool = False
+    #: Axis times angle in degrees: ``(0, 45, 0)`` turns about y. It is a ``rotation_vector`` in another unit, not three angles one after
+    #: the other.
+    rotation_degrees: Vector | None = None
 
     @staticmethod
     def from_matrix(model_from_rest: npt.ArrayLike) -> Pose:
@@ -70,7 +74,7 @@ class Pose:
             raise ValueError("the matrix shears; a pose scales along x, y and z, then turns, then moves")
         if np.linalg.det(turn) < 0:
             raise ValueError("the matrix mirrors; scales above 0 are allowed")
-        return Pose(translation=matrix[:3, 3], rotation=_quaternion(turn), scale=scale, pivot=(0.0, 0.0, 0.0))
+        return Pose(translation=matrix[:3, 3], rotation=quaternion_of(turn), scale=scale, pivot=(0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -119,7 +123,22 @@ PoseLike: TypeAlias = Union[Pose, Targets, GuidePose, PoseFields, "npt.NDArray[A
 Poses: TypeAlias = Mapping[str, PoseLike]
 
 
-def _quaternion(turn: npt.NDArray[np.float64]) -> list[float]:
+def matrix_of(rotation: Sequence[float] = (), rotation_vector: Sequence[float] = ()) -> npt.NDArray[np.float64]:
+    """The rotation matrix of a unit quaternion x, y, z, w, or else of an axis times an angle in radians; without both it turns nothing."""
+    if len(rotation) == 0:
+        angle = float(np.linalg.norm(rotation_vector)) if len(rotation_vector) else 0.0
+        axis = np.array(rotation_vector) / angle if angle > 0 else np.zeros(3)
+        rotation = [*(axis * np.sin(angle / 2)), np.cos(angle / 2)]
+    x, y, z, w = np.array(rotation) / np.linalg.norm(rotation)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.array(rows)
+
+
+def quaternion_of(turn: npt.NDArray[np.float64]) -> list[float]:
     """x, y, z, w of a rotation matrix, by way of its largest component."""
     xx, yy, zz = (float(turn[k, k]) for k in range(3))
     squares = [1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz, 1 + xx + yy + zz]
@@ -158,8 +177,8 @@ def to_message(pose: PoseLike, origin: Sequence[float] = ()) -> pb.HandlePose:
         fields = mapping("pose", pose, "a pliant.Pose, a dict of its fields, or an array of shape (4, 4)")
         fields = {snake_case(name): value for name, value in fields.items()}
         for name in fields:
-            if name not in _LENGTHS and name != "free_rotation":
-                raise TypeError(f"{seen(name)}: no such field of a pose; allowed are {', '.join(_LENGTHS)}, free_rotation")
+            if name not in _FIELDS:
+                raise TypeError(f"{seen(name)}: no such field of a pose; allowed are {', '.join(_FIELDS)}")
         pose = Pose(**fields)
     message = pb.HandlePose()
     if not isinstance(pose.free_rotation, bool):
@@ -168,14 +187,19 @@ def to_message(pose: PoseLike, origin: Sequence[float] = ()) -> pb.HandlePose:
     for name, allowed in _LENGTHS.items():
         value = getattr(pose, name)
         if name == "rotation" and value is not None and array(name, value).size == 3:
-            hint = "an axis times an angle in radians is rotation_vector, such as (0, math.radians(45), 0)"
+            hint = "an axis times an angle is rotation_degrees, such as (0, 45, 0), or rotation_vector in radians"
             raise ValueError(f"rotation: 3 numbers, a quaternion of 4, (x, y, z, w), is allowed; {hint}")
         if value is not None:
             getattr(message, name).extend(numbers(name, value, allowed))
+    if pose.rotation_degrees is not None:
+        if pose.rotation is not None or pose.rotation_vector is not None:
+            raise ValueError("rotation_degrees: a pose has one rotation; leave out rotation and rotation_vector")
+        message.rotation_vector.extend(np.radians(numbers("rotation_degrees", pose.rotation_degrees, (3,))).tolist())
     return message
 
 
 _LENGTHS = {"translation": (3,), "rotation": (4,), "rotation_vector": (3,), "scale": (1, 3), "pivot": (3,)}
+_FIELDS = (*_LENGTHS, "rotation_degrees", "free_rotation")
 
 
 def entries(poses: Poses | Mapping[str, pb.HandlePose], origin: Sequence[float] = ()) -> dict[str, pb.HandlePose]:

@@ -1,7 +1,6 @@
 """Previews: a session's shape as a small picture, for notebooks.
 
-Nothing but numpy: triangles become points that lie as densely as pixels, the nearest one of each pixel is shaded by the light from
-the eye.
+Nothing but numpy: the nearest of the triangles that cover the middle of a pixel is shaded by the light from the eye.
 """
 
 from __future__ import annotations
@@ -20,14 +19,22 @@ from .v1 import pliant_pb2 as pb
 
 #: Width and height of a picture, in pixels.
 SIZE = (320, 240)
-#: Points of all triangles together, and triangles, above which they are thinned out: a preview is to come at once.
+#: Degrees around the model from its front, and above the horizon: a little from the right and from above.
+VIEW = (24.228, 14.326)
+#: Pixels of the boxes around all triangles together, and triangles, above which triangles are left out: a preview is to come at once. Of a
+#: larger picture, pixels a pixel of it.
 _MOST_POINTS = 2_000_000
+_MOST_POINTS_A_PIXEL = 6
 _MOST_TRIANGLES = 500_000
 #: Red, green and blue of what is lit in full, and of what is not there.
 _CLAY = np.array([190.0, 198.0, 208.0])
 _EMPTY = 255
 
+#: How far outside of a triangle, as a share of its edges, a pixel still belongs to it, so that neighbours leave no gap.
+_EDGE = 1e-9
+
 _Doubles = npt.NDArray[np.float64]
+_Whole = npt.NDArray[np.int64]
 
 
 def surface_format(opened: str) -> str:
@@ -78,14 +85,16 @@ def _of_ply(ply: bytes) -> tuple[_Doubles, npt.NDArray[np.int64]]:
     return np.stack([rows[axis].astype(np.float64) for axis in "xyz"], axis=1), faces["corners"].astype(np.int64)
 
 
-def picture(points: _Doubles, triangles: npt.NDArray[np.int64], size: tuple[int, int] = SIZE) -> bytes:
-    """A PNG of a surface seen from the front, a little from the right and from above; on white."""
+def picture(
+    points: _Doubles, triangles: npt.NDArray[np.int64], size: tuple[int, int] = SIZE, view: tuple[float, float] = VIEW
+) -> bytes:
+    """A PNG of a surface seen from such degrees around it and above the horizon; on white."""
     width, height = size
     pixels = np.full((height, width, 3), _EMPTY, np.uint8)
     if not len(triangles) or not np.all(np.isfinite(points)):
         return png(pixels)
     triangles = triangles[:: -(-len(triangles) // _MOST_TRIANGLES)]
-    seen = points @ _view().T
+    seen = points @ _view(*np.radians(view)).T
     low, high = seen[triangles].reshape(-1, 3).min(axis=0), seen[triangles].reshape(-1, 3).max(axis=0)
     extent = np.maximum(high - low, 1e-300)
     scale = 0.92 * min(width / extent[0], height / extent[1])
@@ -94,11 +103,11 @@ def picture(points: _Doubles, triangles: npt.NDArray[np.int64], size: tuple[int,
     lengths = np.linalg.norm(normals, axis=1)
     # Lit from the eye, and from both sides: open surfaces have no inside.
     light = np.abs(normals[:, 2]) / np.maximum(lengths, 1e-300)
-    places, which = _filled(corners)
-    across = np.clip(np.round(places[:, 0] + (width - 1) / 2).astype(np.int64), 0, width - 1)
-    down = np.clip(np.round((height - 1) / 2 - places[:, 1]).astype(np.int64), 0, height - 1)
-    pixel = down * width + across
-    order = np.lexsort((which, places[:, 2], pixel))
+    corners = corners * (1, -1, 1) + ((width - 1) / 2, (height - 1) / 2, 0)
+    pixel, depth, which = _covered(corners, size)
+    if not len(pixel):
+        return png(pixels)
+    order = np.lexsort((which, depth, pixel))
     last = np.append(np.diff(pixel[order]) != 0, True)
     front = order[last]
     shade = 0.25 + 0.75 * light[which[front]]
@@ -106,30 +115,38 @@ def picture(points: _Doubles, triangles: npt.NDArray[np.int64], size: tuple[int,
     return png(pixels)
 
 
-def _view() -> _Doubles:
+def _view(around: float, above: float) -> _Doubles:
     """Rows: what lies to the right, up, and towards the eye."""
-    eye = np.array([0.45, 0.28, 1.0])
-    eye /= np.linalg.norm(eye)
-    right = np.cross([0.0, 1.0, 0.0], eye)
-    right /= np.linalg.norm(right)
+    eye = np.array([np.sin(around) * np.cos(above), np.sin(above), np.cos(around) * np.cos(above)])
+    right = np.array([np.cos(around), 0.0, -np.sin(around)])
     return np.stack([right, np.cross(eye, right), eye])
 
 
-def _filled(corners: _Doubles) -> tuple[_Doubles, npt.NDArray[np.int64]]:
-    """Points that cover triangles, about one a pixel, and the triangle of each."""
-    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    steps = np.clip(np.ceil(edges * 1.5), 1, max(SIZE)).astype(np.int64)
-    total = int(((steps + 1) * (steps + 2) // 2).sum())
-    if total > _MOST_POINTS:
-        steps = np.maximum(1, (steps * np.sqrt(_MOST_POINTS / total)).astype(np.int64))
-    places, which = [], []
-    for step in np.unique(steps):
-        chosen = np.flatnonzero(steps == step)
-        a, b = np.array([(i, j) for i in range(step + 1) for j in range(step + 1 - i)], np.float64).T / step
-        weights = np.stack([a, b, 1 - a - b], axis=1)
-        places.append(np.einsum("pc,tcd->tpd", weights, corners[chosen]).reshape(-1, 3))
-        which.append(np.repeat(chosen, len(weights)))
-    return np.concatenate(places), np.concatenate(which)
+def _covered(corners: _Doubles, size: tuple[int, int]) -> tuple[_Whole, _Doubles, _Whole]:
+    """The pixels whose middles triangles cover, how near each is there, and the triangle. Corners are in pixels, to the
+    right and down from the middle of the first."""
+    width, height = size
+    low = np.clip(np.ceil(corners[:, :, :2].min(axis=1)), 0, (width, height)).astype(np.int64)
+    high = np.clip(np.floor(corners[:, :, :2].max(axis=1)), -1, (width - 1, height - 1)).astype(np.int64)
+    boxes = np.maximum(high - low + 1, 0)
+    counts = boxes.prod(axis=1)
+    most = max(_MOST_POINTS, _MOST_POINTS_A_PIXEL * width * height)
+    if counts.sum() > most:
+        counts[np.arange(len(counts)) % -(-int(counts.sum()) // most) != 0] = 0
+    which = np.repeat(np.arange(len(counts)), counts)
+    within = np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts)
+    place = low[which] + np.stack([within % boxes[which, 0], within // boxes[which, 0]], axis=1)
+    # How far each is along two edges.
+    first, *edges = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    (ax, ay, az), (bx, by, bz) = (edge[which].T for edge in edges)
+    x, y = (place - first[which, :2]).T
+    area = ax * by - ay * bx
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = (x * by - y * bx) / area, (ax * y - ay * x) / area
+        inside = (a >= -_EDGE) & (b >= -_EDGE) & (a + b <= 1 + _EDGE)
+        depth = (first[which, 2] + a * az + b * bz)[inside]
+    pixel = place[inside] @ (1, width)
+    return pixel, depth, which[inside]
 
 
 def png(pixels: npt.NDArray[np.uint8]) -> bytes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 from typing_extensions import Unpack
 
@@ -16,6 +17,9 @@ from .player import Animation
 from .poses import Poses
 from .progress import ProgressLike
 from .stream import Stream
+
+if TYPE_CHECKING:
+    from .notebook import Widget
 
 
 class Session(Face, Declared):
@@ -75,9 +79,23 @@ class Session(Face, Declared):
         poses = list(poses) if progress and not latest else poses
         yield from self._drag(poses, commit=commit, latest=latest, progress=progress, **how)
 
-    def preview(self, width: int = preview.SIZE[0], height: int = preview.SIZE[1]) -> bytes:
-        """A small picture of the current shape, a PNG; notebooks show it for a session."""
-        return preview.picture(*preview.triangles_of(self._preview_bytes()), (width, height))
+    def preview(
+        self, width: int = preview.SIZE[0], height: int = preview.SIZE[1], view: tuple[float, float] = preview.VIEW
+    ) -> bytes:
+        """A small picture of the current shape, a PNG; notebooks show it for a session. `view` is in degrees: around the model from its
+        front (+z), and above the horizon."""
+        return preview.picture(*preview.triangles_of(self._preview_bytes()), (width, height), view)
+
+    def widget(self, *, height: int = 420, free_rotation: bool = True) -> Widget:
+        """The mesh in a notebook, with a dot for each handle that the pointer drags; letting go records the pose. It needs anywidget:
+        ``pip install 'pliant[notebook]'``.
+
+        `height` is in pixels. With `free_rotation` a handle that is moved turns freely, so that what it hangs on bends into an arc; handles
+        that constrain less than position and rotation cannot.
+        """
+        from .notebook import show
+
+        return show(self, height=height, free_rotation=free_rotation)
 
     def _repr_png_(self) -> bytes | None:
         # A notebook shows what it can: a session that is closed or whose server is away has no picture.

@@ -117,7 +117,12 @@ class Proxy:
                 near.close()
                 continue
             self.connections += 1
-            far = socket.create_connection(self._target)
+            try:
+                far = socket.create_connection(self._target)
+            except OSError:
+                # The server is away for now; what comes later may find it.
+                near.close()
+                continue
             self._open += [near, far]
             for one, other in ((near, far), (far, near)):
                 threading.Thread(target=self._pump, args=(one, other), daemon=True).start()

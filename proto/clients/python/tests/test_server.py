@@ -149,3 +149,13 @@ def test_no_server_is_left_when_python_ends(ending: str, creature: Path) -> None
     python.stdin.close()
     python.wait(timeout=30)
     assert wait_gone(running) and wait_gone(int(warden))
+
+
+def test_the_package_runs_the_program_that_it_finds(tmp_path: Path) -> None:
+    environment = {**os.environ, "PLIANT_BIN": binary()}
+    command = [sys.executable, "-m", "pliant"]
+    done = subprocess.run([*command, "--version"], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0 and done.stdout == subprocess.run([binary(), "--version"], capture_output=True, text=True).stdout
+    environment["PLIANT_BIN"] = str(tmp_path / "nothing")
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert done.returncode == 1 and done.stderr.startswith("pliant: ") and "Traceback" not in done.stderr

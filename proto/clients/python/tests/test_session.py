@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import pliant
+from pliant import preview
 from conftest import bar, deform
 
 FEET = {"half_space": ((0, -1, 0), -0.14)}
@@ -130,6 +131,18 @@ def test_a_mesh_and_a_scene_of_trimesh_go_in_and_come_out(server: pliant.LocalSe
         assert np.allclose(both.bounds, scene.bounds) and len(both.faces) == len(session.triangles()) == len(ball.faces) + 12
     with pliant.connect(server) as client:
         assert repr(client) == f"<pliant.Client of {client.url}>"
+
+
+def test_degrees_turn_as_radians_do(held: pliant.Session) -> None:
+    frame = held.solve_frame({"head": {"rotation_vector": (0, np.radians(40), 0)}})
+    by_radians = frame.positions
+    assert repr(frame).startswith(f"<pliant.SolvedFrame 0: {held.vertices} vertices, revision 3, final, residual "), repr(frame)
+    held.undo()
+    assert np.array_equal(held.solve({"head": {"rotation_degrees": (0, 40, 0)}}), by_radians)
+    held.handle("head", **HEAD, rotation_degrees=(0, 40, 0))
+    held.apply()
+    [head] = [handle.pose for handle in held.info.handles if handle.id == "head"]
+    assert list(head.rotation_vector) == [0, np.radians(40), 0]
 
 
 def test_a_lattice_and_a_curve_lead_a_model(creature: Path, server: pliant.LocalServer) -> None:
@@ -491,6 +504,35 @@ def test_the_first_handles_of_a_session_may_be_wrong(server: pliant.LocalServer,
             session.solve(TURN)
         session.handle("head", **HEAD)
         assert session.solve(TURN).shape == (session.vertices, 3)
+
+
+def test_a_preview_has_no_holes_and_is_seen_from_where_it_is_asked(server: pliant.LocalServer) -> None:
+    corners = np.array([(x, y, z) for x in (0.0, 1) for y in (0.0, 1) for z in (0.0, 1)])
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    with pliant.open((corners * (1, 1, 3), np.array(quads)), server=server) as session:
+        widths = []
+        for view in [(0.0, 0.0), (90.0, 0.0), (30.0, 20.0)]:
+            drawn = pixels_of(session.preview(900, 700, view)) < 255
+            rows = drawn[drawn.any(axis=1)]
+            first, last = rows.argmax(axis=1), rows.shape[1] - rows[:, ::-1].argmax(axis=1)
+            assert np.array_equal(rows.sum(axis=1), last - first), f"holes from {view}"
+            widths.append((last - first).max() / len(rows))
+        assert np.allclose(widths[:2], [1, 3], atol=0.02), "a square from the front, and three times as wide from the side"
+
+
+def test_what_covers_no_pixel_is_an_empty_picture() -> None:
+    for points in (np.zeros((3, 3)), np.array([(0.0, 0, 0), (1, 1, 0), (2, 2, 0)])):
+        assert pixels_of(preview.picture(points, np.array([[0, 1, 2]]))).min() == 255
+
+
+def pixels_of(png: bytes) -> np.ndarray:
+    """One channel of a picture that the package wrote: rows without filters."""
+    width, height = (int.from_bytes(png[at : at + 4], "big") for at in (16, 20))
+    start = png.index(b"IDAT") + 4
+    length = int.from_bytes(png[start - 8 : start - 4], "big")
+    rows = np.frombuffer(zlib.decompress(png[start : start + length]), np.uint8).reshape(height, 1 + 3 * width)
+    assert not rows[:, 0].any()
+    return rows[:, 1::3]
 
 
 def test_a_session_shows_itself(server: pliant.LocalServer, creature: Path, tmp_path: Path) -> None:

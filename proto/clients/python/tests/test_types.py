@@ -20,11 +20,12 @@ with pliant.open("creature.glb", progress=True, volume_graph="off") as session:
     frame = session.solve_frame({"head": {"translation": (0, 0.1, 0)}, "feet": np.eye(4)}, normals=True)
     quality: pliant.Quality = frame.quality
     print(quality.flipped_triangles + 1, frame.quality.edge_rms * 2)
-    for moved in session.drag([{"head": {"rotation_vector": (0, 0.1, 0)}}], latest=True):
+    for moved in session.drag([{"head": {"rotation_degrees": (0, 5, 0)}}], latest=True):
         print(moved.positions.shape, moved.solve_ms)
     with session.stream() as stream:
         stream.send({"head": pliant.Pose(scale=2.0)})
         print(stream.commit().quality.volume_change, [path.name for path in session.export("bent.gltf")])
+    print(session.triangles()[:, 0], session.to_trimesh())
     print(session.history()[-1].digest, session.edit(subdivide={"scheme": "loop"}).after, pliant.__version__)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import inspect
 import io
 import math
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -298,8 +300,35 @@ def test_regions_and_edits_may_be_spelled_as_jobs_spell_them() -> None:
 
 def test_a_pose_of_three_angles_is_told_what_it_wants() -> None:
     assert to_message({"rotationVector": (0, 1, 0)}) == to_message({"rotation_vector": (0, 1, 0)})
-    with pytest.raises(ValueError, match=r"quaternion of 4.*rotation_vector.*math\.radians"):
+    with pytest.raises(ValueError, match=r"quaternion of 4.*rotation_degrees, such as \(0, 45, 0\).*rotation_vector in radians"):
         to_message(pliant.Pose(rotation=(0, 45, 0)))
+
+
+def test_degrees_are_radians_in_another_unit() -> None:
+    quarter = to_message(pliant.Pose(rotation_vector=(0, np.pi / 2, 0), scale=2))
+    assert to_message({"rotation_degrees": (0, 90, 0), "scale": 2}) == quarter
+    assert to_message(pliant.Pose(rotation_degrees=np.array([0, 90, 0]), scale=2)) == quarter
+    assert list(to_message({"rotation_degrees": (0, 0, 720)}).rotation_vector) == [0, 0, 4 * np.pi], "full turns count"
+    for beside in ({"rotation": (0, 0, 0, 1)}, {"rotation_vector": (0, 0, 0)}):
+        with pytest.raises(ValueError, match="a pose has one rotation"):
+            to_message({"rotation_degrees": (0, 90, 0), **beside})
+    with pytest.raises(ValueError, match="rotation_degrees: 4 numbers, 3 are allowed"):
+        to_message({"rotation_degrees": (0, 0, 0, 1)})
+    with pytest.raises(TypeError, match="allowed are translation.*rotation_degrees, free_rotation"):
+        to_message({"rotation_degree": (0, 90, 0)})
+    line = [(0, 0, 0), (0, 1, 0)]
+    twisted = pliant.GuidePose(line, twists=[0, np.pi])
+    assert pliant.GuidePose(line, twist_degrees=[0, 180]).to_message() == twisted.to_message()
+    with pytest.raises(ValueError, match="twist_degrees: twists are given"):
+        pliant.GuidePose(line, twists=[0, 0], twist_degrees=[0, 0]).to_message()
+
+
+def test_completion_shows_what_is_for_people() -> None:
+    code = "import pliant; print(*dir(pliant))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    shown = done.stdout.split()
+    assert set(shown) == {*pliant.__all__, "aio", "errors"}, "no module of the inside; batch and notebook once they are imported"
+    assert shown == sorted(shown) and all(hasattr(pliant, name) for name in shown)
 
 
 def test_arrays_become_a_ply_that_keeps_their_precision() -> None:

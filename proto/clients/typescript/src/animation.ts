@@ -7,11 +7,12 @@ import type { Frame } from "./frames.js";
 import { Assembler } from "./frames.js";
 import type { AnimationReport, Frame as Part } from "./gen/pliant/v1/pliant_pb.js";
 import { AnimateOptionsSchema, FrameSchema } from "./gen/pliant/v1/pliant_pb.js";
+import type { Named } from "./names.js";
 import type { CallOptions } from "./transport.js";
 import { jsonOf } from "./transport.js";
 
 /** How a clip drives a model; what is absent has the server's default. */
-export type AnimateOptions = Omit<MessageInitShape<typeof AnimateOptionsSchema>, "sessionId" | "source" | "rig" | "window" | "$typeName"> & {
+export type AnimateOptions = Named<Omit<MessageInitShape<typeof AnimateOptionsSchema>, "sessionId" | "source" | "rig" | "window" | "$typeName">> & {
   /** A clip of the model itself, by name or by number from 0. */
   clip?: string | number;
   /** A BVH file. */

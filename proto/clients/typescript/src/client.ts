@@ -8,12 +8,13 @@ import {
   ListSessionsResponseSchema,
   SessionSchema,
 } from "./gen/pliant/v1/pliant_pb.js";
+import type { Named } from "./names.js";
 import { Session } from "./session.js";
 import type { CallOptions, Progress, TransportOptions } from "./transport.js";
 import { Transport, jsonOf } from "./transport.js";
 
 /** How a session is built from its model. */
-export type CreateOptions = MessageInitShape<typeof CreateOptionsSchema>;
+export type CreateOptions = Named<MessageInitShape<typeof CreateOptionsSchema>>;
 
 /** How a model is opened. */
 export interface OpenOptions extends CallOptions {

@@ -9,6 +9,7 @@ export { Client, type CreateOptions, type OpenOptions } from "./client.js";
 export { companionNames, companionsOf, type PlacedFile } from "./companions.js";
 export { PliantError, statusName } from "./errors.js";
 export { Assembler, Frame, type FrameFacts, inModelSpace } from "./frames.js";
+export { type Named } from "./names.js";
 export { targets, type VertexTargetsPose } from "./poses.js";
 export { regionFrom, regionOf, type PlainRegion, type Point, type RegionKinds, type RegionLike } from "./regions.js";
 export { nearestRotationVector, quaternionOf, turnsOf, type Quaternion, type Vector } from "./rotation.js";

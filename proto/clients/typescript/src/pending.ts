@@ -3,18 +3,19 @@
 import type { MessageInitShape } from "@bufbuild/protobuf";
 import type { PliantError } from "./errors.js";
 import type { FrameFacts } from "./frames.js";
-import type { PoseSchema } from "./gen/pliant/v1/pliant_pb.js";
-import type { PoseEntry, SolveOptions } from "./session.js";
+import type { OptionsSchema, PoseSchema } from "./gen/pliant/v1/pliant_pb.js";
+import type { PoseEntry } from "./session.js";
 import { Attempts, newKey } from "./attempts.js";
 
 type Pose = MessageInitShape<typeof PoseSchema>;
+export type Options = MessageInitShape<typeof OptionsSchema>;
 
 /** A pose that is to be recorded. */
 interface Commit {
   readonly seq: number;
   readonly entries: PoseEntry[];
   /** Those in force when it was made. */
-  readonly options: SolveOptions;
+  readonly options: Options;
   /** By which the server knows one that is sent again. */
   readonly key: string;
   /** Whether it went out on the socket that is open. */
@@ -62,7 +63,7 @@ export class Pending {
   }
 
   /** A pose to record, with all that was dragged before. */
-  commit(entries: readonly PoseEntry[], options: SolveOptions, whose: Caller): void {
+  commit(entries: readonly PoseEntry[], options: Options, whose: Caller): void {
     const all = merged(this.dragged, entries);
     // What was dragged before is part of the commit, or has no meaning after it.
     this.forget();
@@ -88,7 +89,7 @@ export class Pending {
   }
 
   /** The next commit to send. */
-  nextCommit(): { options: SolveOptions; pose: Pose } | undefined {
+  nextCommit(): { options: Options; pose: Pose } | undefined {
     const at = this.commits.findIndex(({ sent }) => !sent);
     const commit = this.commits[at];
     // Those behind one that is held wait with it: they are recorded in the order in which they were made.

@@ -30,6 +30,7 @@ import { Animation, formOf } from "./animation.js";
 import { newKey } from "./attempts.js";
 import { PliantError } from "./errors.js";
 import { originOf } from "./frames.js";
+import type { Named } from "./names.js";
 import { checkPoses, littleEndian } from "./poses.js";
 import { type RegionLike, regionFrom } from "./regions.js";
 import type { Vector } from "./rotation.js";
@@ -40,8 +41,8 @@ import type { CallOptions, Transport } from "./transport.js";
 import { jsonOf } from "./transport.js";
 
 /** A handle: a region, and what is done with it. */
-export type Handle = Omit<MessageInitShape<typeof HandleSchema>, "region" | "$typeName"> & { region?: RegionLike };
-export type SolveOptions = MessageInitShape<typeof OptionsSchema>;
+export type Handle = Named<Omit<MessageInitShape<typeof HandleSchema>, "region" | "$typeName">> & { region?: RegionLike };
+export type SolveOptions = Named<MessageInitShape<typeof OptionsSchema>>;
 export type PoseEntry = MessageInitShape<typeof Pose_EntrySchema>;
 /** All handles of a session. */
 export type SetHandles = Omit<MessageInitShape<typeof SetHandlesRequestSchema>, "sessionId" | "$typeName" | "handles" | "regionOfInterest"> & {
@@ -49,10 +50,10 @@ export type SetHandles = Omit<MessageInitShape<typeof SetHandlesRequestSchema>, 
   /** Everything outside of it stays bit-identical. */
   regionOfInterest?: RegionLike;
 };
-export type Edit = Omit<MessageInitShape<typeof EditRequestSchema>, "sessionId" | "$typeName">;
+export type Edit = Named<Omit<MessageInitShape<typeof EditRequestSchema>, "sessionId" | "$typeName">>;
 
 /** How a model is wrapped onto another one. */
-export type WrapOptions = Omit<MessageInitShape<typeof EditRequest_WrapSchema>, "target" | "$typeName">;
+export type WrapOptions = Named<Omit<MessageInitShape<typeof EditRequest_WrapSchema>, "target" | "$typeName">>;
 
 /** How shapes come from another model. `shape`: that model in another shape. */
 export type TransferOptions = Omit<MessageInitShape<typeof TransferRequestSchema>, "source" | "sessionId" | "$typeName">;
@@ -285,7 +286,7 @@ export class Session {
     return new Animation(route, options, call);
   }
 
-  /** As `animate`, as a GLB that plays the clip: with morph targets, or with `playedAs: 1` as a skin of rigid bones. */
+  /** As `animate`, as a GLB that plays the clip: with morph targets, or with `playedAs: "SKIN"` as a skin of rigid bones. */
   async animatedModel(options: AnimateOptions = {}, call: CallOptions = {}): Promise<Blob> {
     const body = formOf(options);
     return this.transport.read("POST", this.path("/animations"), "model/gltf-binary", { ...call, body }, blobOf);
@@ -310,6 +311,11 @@ export class Session {
     const seen = topology.positions.length / 3;
     if (seen !== vertices) throw new PliantError("INTERNAL", `the server reports ${vertices} vertices but sent ${seen}`);
     return topology;
+  }
+
+  /** The triangles: three rows of `positions` each. They stay the same until an edit. */
+  async triangles(call: CallOptions = {}): Promise<Uint32Array<ArrayBuffer>> {
+    return (await this.topology(call)).indices;
   }
 
   /** The model in its current shape. Without a format: the one it came in. */
@@ -410,7 +416,7 @@ export class Session {
 }
 
 /** A handle as the schema has it. */
-function handleFrom({ region, ...rest }: Handle): MessageInitShape<typeof HandleSchema> {
+function handleFrom({ region, ...rest }: Handle): Named<MessageInitShape<typeof HandleSchema>> {
   return { ...rest, ...(region && { region: regionFrom(region) }) };
 }
 

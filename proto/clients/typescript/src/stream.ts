@@ -18,8 +18,9 @@ import { PliantError, statusName } from "./errors.js";
 import type { FrameFacts } from "./frames.js";
 import { Assembler, Frame } from "./frames.js";
 import type { DeformResponse, Session as Facts } from "./gen/pliant/v1/pliant_pb.js";
-import { DeformRequestSchema, DeformResponseSchema } from "./gen/pliant/v1/pliant_pb.js";
-import { Pending } from "./pending.js";
+import { DeformRequestSchema, DeformResponseSchema, OptionsSchema } from "./gen/pliant/v1/pliant_pb.js";
+import { numbered } from "./names.js";
+import { type Options, Pending } from "./pending.js";
 import { checkPoses } from "./poses.js";
 import type { PoseEntry, SolveOptions } from "./session.js";
 
@@ -72,13 +73,14 @@ export class Stream {
   private socket: WebSocket | undefined;
   private assembler: Assembler;
   private current: StreamState = "connecting";
+  private options: Options;
   private revision: number;
   private readonly pending: Pending;
   /** Whole frames that wait to be taken; those of a lost socket are shown, but not acknowledged. */
   private frames: Frame[] = [];
   private fresh = new WeakSet<Frame>();
   /** The options that the socket got last. */
-  private told: SolveOptions | undefined;
+  private told: Options | undefined;
   private readonly attempts: Attempts;
   /** Whether the server on the other end has said that it stops. */
   private leaving: PliantError | undefined;
@@ -91,10 +93,11 @@ export class Stream {
 
   constructor(
     private readonly route: StreamRoute,
-    private options: SolveOptions,
+    options: SolveOptions,
     private readonly events: StreamEvents,
     patience: number,
   ) {
+    this.options = numbered(OptionsSchema, options);
     this.attempts = new Attempts(patience);
     this.pending = new Pending(patience);
     this.revision = route.known();
@@ -138,8 +141,8 @@ export class Stream {
 
   /** Replaces the options of the poses that follow. */
   setOptions(options: SolveOptions): void {
-    this.options = options;
-    if (this.isHeard) this.sayOptions(options);
+    this.options = numbered(OptionsSchema, options);
+    if (this.isHeard) this.sayOptions(this.options);
   }
 
   /** Whether a frame waits to be taken. */
@@ -406,7 +409,7 @@ export class Stream {
   }
 
   /** Sends the options of the poses that follow, unless the server has them. */
-  private sayOptions(options: SolveOptions): void {
+  private sayOptions(options: Options): void {
     if (options === this.told) return;
     this.told = options;
     this.send({ case: "options", value: options });

@@ -9,6 +9,7 @@ import { create, fromJson, toJson } from "@bufbuild/protobuf";
 import { SIGN_OF_LIFE_MS, whileAlive } from "./alive.js";
 import { Attempts, newKey, pause } from "./attempts.js";
 import { PliantError, problemOf } from "./errors.js";
+import { type Named, numbered } from "./names.js";
 import { MOST_HOPS, type Place, Places } from "./places.js";
 
 /** What a page may set once for all calls. */
@@ -93,7 +94,7 @@ export class Transport {
     this.token = options.token ?? environment("PLIANT_TOKEN");
     this.askToken = options.askToken;
     this.fetch = options.fetch ?? globalThis.fetch.bind(globalThis);
-    this.Socket = options.WebSocket ?? globalThis.WebSocket;
+    this.Socket = options.WebSocket ?? globalThis.WebSocket ?? socketOfNode();
   }
 
   /** A call whose answer is a message. */
@@ -201,7 +202,7 @@ export class Transport {
   /** Opens a WebSocket on `path`. */
   socket(path: string): WebSocket {
     if (this.Socket === undefined) {
-      throw new PliantError("UNIMPLEMENTED", "there is no WebSocket here; run `node --experimental-websocket` (node 20), or give one: `new Client({ WebSocket })`");
+      throw new PliantError("UNIMPLEMENTED", "there is no WebSocket here; node 22 has one, node 20 takes that of `npm install ws`, or give one: `new Client({ WebSocket })`");
     }
     // A page cannot give its WebSocket headers; the token goes as a sub-protocol, which the server does not repeat.
     const protocols = this.token === undefined ? ["pliant.v1"] : ["pliant.v1", `pliant.bearer.${this.token}`];
@@ -367,8 +368,8 @@ function point(headers: Record<string, string>, { node }: Place, hops: number): 
 }
 
 /** A message as the JSON that the server reads. */
-export function jsonOf<D extends DescMessage>(schema: D, message: MessageInitShape<D>): unknown {
-  return toJson(schema, create(schema, message));
+export function jsonOf<D extends DescMessage>(schema: D, message: Named<MessageInitShape<D>>): unknown {
+  return toJson(schema, create(schema, numbered(schema, message)));
 }
 
 function parse<D extends DescMessage>(schema: D, body: string): MessageShape<D> {
@@ -380,6 +381,25 @@ function parse<D extends DescMessage>(schema: D, body: string): MessageShape<D> 
 function environment(name: string): string | undefined {
   const { process } = globalThis as { process?: { env?: Record<string, string | undefined> } };
   return process?.env?.[name] || undefined;
+}
+
+/** The WebSocket of the package `ws`, where it is installed: node has none of its own before version 22. */
+function socketOfNode(): typeof globalThis.WebSocket | undefined {
+  const { process } = globalThis as { process?: { cwd(): string; getBuiltinModule?(name: string): Partial<Modules> | undefined } };
+  const { createRequire } = process?.getBuiltinModule?.("module") ?? {};
+  // A package that is linked into its user's does not see what lies beside it there.
+  for (const from of createRequire === undefined ? [] : [import.meta.url, `${process?.cwd()}/package.json`]) {
+    try {
+      return createRequire?.(from)("ws") as typeof globalThis.WebSocket;
+    } catch {
+      // It is not there.
+    }
+  }
+  return undefined;
+}
+
+interface Modules {
+  createRequire(from: string): (name: string) => unknown;
 }
 
 /** A call that may be sent twice. */

@@ -68,8 +68,9 @@ test("points and models ride along", { skip }, async () => {
   await session.close();
 });
 
-const { U16, MESHOPT, DELTA } = schema.Frame_Encoding;
-for (const [name, encoding] of Object.entries({ U16, MESHOPT, DELTA })) {
+for (const name of ["U16", "MESHOPT", "DELTA"]) {
+  // By its name in the schema, and one of them by its number.
+  const encoding = name === "MESHOPT" ? schema.Frame_Encoding[name] : name;
   test(`${name} frames are the same shape to a step`, { skip }, async () => {
     const session = await client.sample();
     await session.setHandles({ handles: [FEET, HEAD] });

@@ -2,7 +2,11 @@
 
 import assert from "node:assert/strict";
 import { spawnSync } from "node:child_process";
+import { cpSync, mkdtempSync, rmSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
 import { test } from "node:test";
+import { fileURLToPath } from "node:url";
 import { Client, Stream, regionFrom } from "../dist/index.js";
 import { FakeSocket } from "./fake.mjs";
 
@@ -69,7 +73,14 @@ test("a page of another origin is told of cors_origins, one of the server's own 
   }
 });
 
-test("a process without a WebSocket is told how to get one, and ends", () => {
+test("a process without a WebSocket is told how to get one, and ends", (t) => {
+  // Where no `ws` is installed.
+  const folder = mkdtempSync(join(tmpdir(), "pliant-"));
+  t.after(() => rmSync(folder, { recursive: true, force: true }));
+  const here = fileURLToPath(new URL("..", import.meta.url));
+  cpSync(join(here, "dist"), join(folder, "dist"), { recursive: true });
+  cpSync(join(here, "node_modules/@bufbuild/protobuf"), join(folder, "node_modules/@bufbuild/protobuf"), { recursive: true });
+  writeFileSync(join(folder, "package.json"), '{"type": "module"}');
   const program = `
     import { Client, Stream } from "./dist/index.js";
     const { transport } = new Client({ url: "http://127.0.0.1:9" });
@@ -79,8 +90,8 @@ test("a process without a WebSocket is told how to get one, and ends", () => {
       console.log(code, message);
     }`;
   const flags = process.allowedNodeEnvironmentFlags.has("--no-experimental-websocket") ? ["--no-experimental-websocket"] : [];
-  const options = { cwd: new URL("..", import.meta.url), encoding: "utf8", timeout: 60_000, env: { ...process.env, NODE_OPTIONS: "" } };
+  const options = { cwd: folder, encoding: "utf8", timeout: 60_000, env: { ...process.env, NODE_OPTIONS: "" } };
   const { signal, status, stdout, stderr } = spawnSync(process.execPath, [...flags, "--input-type=module", "-e", program], options);
   assert.deepEqual([signal, status], [null, 0], stderr);
-  assert.match(stdout, /^UNIMPLEMENTED there is no WebSocket here; run `node --experimental-websocket` .* `new Client\(\{ WebSocket \}\)`/);
+  assert.match(stdout, /^UNIMPLEMENTED there is no WebSocket here; node 22 has one, node 20 takes that of `npm install ws`, .* `new Client\(\{ WebSocket \}\)`/);
 });

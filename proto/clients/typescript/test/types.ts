@@ -1,6 +1,6 @@
 /** What the types let through and what they refuse; `npm run check` reads this, nothing runs it. */
 
-import { type Handle, type PlainRegion, type RegionLike, regionOf } from "../src/index.js";
+import { type AnimateOptions, type CreateOptions, type Edit, type Handle, type PlainRegion, type RegionLike, regionOf, schema, type SolveOptions } from "../src/index.js";
 
 /** Every kind of region, as people write it. */
 export const plain: readonly PlainRegion[] = [
@@ -37,3 +37,19 @@ export const wrong: readonly RegionLike[] = [
   // @ts-expect-error nothing at all
   {},
 ];
+
+/** Enums by name, or by number. */
+export const options: readonly SolveOptions[] = [
+  { output: { encoding: "DELTA" }, fit: "COARSE_FIRST", tolerance: 1e-4 },
+  { output: { encoding: schema.Frame_Encoding.DELTA } },
+  // @ts-expect-error no such encoding
+  { output: { encoding: "delta" } },
+  // @ts-expect-error the name of another enum
+  { output: { encoding: "COARSE_FIRST" } },
+  // @ts-expect-error a number is none
+  { tolerance: "DELTA" },
+];
+export const soft: Handle = { id: "head", region: { component: 0 }, constrains: ["POSITION"], falloff: { radius: 1, kind: "SMOOTH" } };
+export const built: CreateOptions = { volumeGraph: { mode: "OFF" }, components: "HOLD" };
+export const played: AnimateOptions = { clip: "walk", playedAs: "SKIN", contact: "AVOID" };
+export const finer: Edit = { on: "REST", operation: { case: "subdivide", value: { scheme: "LOOP" } } };

@@ -57,7 +57,7 @@ renderer.setAnimationLoop((now) => {
   renderer.render(scene, camera);
 });
 
-const walk = session.animate({ clip: "walk", fps: 30, output: { encoding: 1 } });
+const walk = session.animate({ clip: "walk", fps: 30, output: { encoding: "U16" } });
 async function keep() {
   for await (const { frame, ...facts } of walk) {
     const positions = new Float32Array(position.array.length);
