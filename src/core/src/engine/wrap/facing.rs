@@ -21,6 +21,13 @@ pub(super) struct Reach {
     pub turn: f64,
 }
 
+/// A point and the way it faces, of unit length.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Oriented {
+    pub point: DVec3,
+    pub normal: DVec3,
+}
+
 /// A tree over a surface with normals.
 pub(super) struct FacingTree<'a> {
     tree: &'a TriangleBvh<'a>,
@@ -54,17 +61,15 @@ impl<'a> FacingTree<'a> {
     }
 
     /// The place for which the squares of the distance and of the difference of normals have the least sum; of equal ones that of the
-    /// smallest triangle. Of each triangle its closest point is looked at, with what lies between the normals of its corners.
-    pub fn closest(&self, point: DVec3, normal: DVec3, reach: Reach) -> Option<FacingPlace> {
-        let mut search = FacingSearch {
-            facing: self,
-            point,
-            normal,
-            turn_square: reach.turn * reach.turn,
-            best: None,
-        };
-        let within = reach.within * reach.within;
-        self.tree.visit_near(point, within, &mut search);
+    /// smallest triangle. Of each triangle its closest point is looked at, with what lies between the normals of its corners. A triangle
+    /// that is probably near, such as the answer of the step before, makes the search faster and does not change the answer.
+    pub fn closest(&self, asked: Oriented, reach: Reach, near: Option<u32>) -> Option<FacingPlace> {
+        let mut search = FacingSearch::new(self, asked, reach);
+        let mut limit = reach.within * reach.within;
+        if let Some(triangle) = near {
+            search.see(triangle, &mut limit);
+        }
+        self.tree.visit_near(asked.point, limit, &mut search);
         search.best.map(|b| b.1)
     }
 }
@@ -72,44 +77,60 @@ impl<'a> FacingTree<'a> {
 /// Looks for one place.
 struct FacingSearch<'a> {
     facing: &'a FacingTree<'a>,
-    point: DVec3,
-    normal: DVec3,
+    asked: Oriented,
     turn_square: f64,
     /// The sum of squares, and the place.
     best: Option<(f64, FacingPlace)>,
 }
 
+impl<'a> FacingSearch<'a> {
+    fn new(facing: &'a FacingTree<'a>, asked: Oriented, reach: Reach) -> Self {
+        Self {
+            facing,
+            asked,
+            turn_square: reach.turn * reach.turn,
+            best: None,
+        }
+    }
+
+    /// Looks at a triangle.
+    fn see(&mut self, triangle: u32, limit: &mut f64) {
+        let FacingTree { tree, normals, .. } = self.facing;
+        let Oriented { point, normal } = self.asked;
+        let corners = tree.triangles()[triangle as usize];
+        let at = corners.map(|v| tree.positions()[v as usize]);
+        let on = closest_point_on_triangle(point, at);
+        let square = on.distance_squared(point);
+        if square > *limit {
+            return;
+        }
+        let weights = barycentric(on, at);
+        let there: DVec3 = (0..3).map(|k| normals[corners[k] as usize] * weights[k]).sum();
+        let cosine = there.normalize_or_zero().dot(normal);
+        let sum = square + self.turn_square * there.distance_squared(normal);
+        if cosine >= LEAST_COSINE && self.best.is_none_or(|b| (sum, triangle) < (b.0, b.1.triangle)) {
+            *limit = limit.min(sum);
+            let found = FacingPlace {
+                triangle,
+                point: on,
+                cosine,
+            };
+            self.best = Some((sum, found));
+        }
+    }
+}
+
 impl NearVisitor for FacingSearch<'_> {
     fn skips_node(&self, node: usize, square: f64) -> bool {
         let [least, most] = self.facing.bounds[node];
-        let apart = self.normal.distance_squared(self.normal.clamp(least, most));
+        let normal = self.asked.normal;
+        let apart = normal.distance_squared(normal.clamp(least, most));
         apart > MOST_APART || self.best.is_some_and(|b| square + self.turn_square * apart > b.0)
     }
 
     fn see_leaf(&mut self, _leaf: usize, places: Range<usize>, limit: &mut f64) {
-        let FacingTree { tree, normals, .. } = self.facing;
-        for triangle in places.map(|place| tree.triangle_order()[place]) {
-            let corners = tree.triangles()[triangle as usize];
-            let at = corners.map(|v| tree.positions()[v as usize]);
-            let on = closest_point_on_triangle(self.point, at);
-            let square = on.distance_squared(self.point);
-            if square > *limit {
-                continue;
-            }
-            let weights = barycentric(on, at);
-            let there: DVec3 = (0..3).map(|k| normals[corners[k] as usize] * weights[k]).sum();
-            let cosine = there.normalize_or_zero().dot(self.normal);
-            let sum = square + self.turn_square * there.distance_squared(self.normal);
-            if cosine >= LEAST_COSINE && self.best.is_none_or(|b| (sum, triangle) < (b.0, b.1.triangle)) {
-                *limit = limit.min(sum);
-                let found = FacingPlace {
-                    triangle,
-                    point: on,
-                    cosine,
-                };
-                self.best = Some((sum, found));
-            }
-        }
+        let tree = self.facing.tree;
+        places.for_each(|place| self.see(tree.triangle_order()[place], limit));
     }
 }
 
@@ -121,16 +142,10 @@ mod tests {
     use crate::pool::Pool;
 
     /// All triangles looked at, one after the other.
-    fn by_looking_at_all(facing: &FacingTree<'_>, point: DVec3, normal: DVec3, reach: Reach) -> Option<u32> {
-        let mut search = FacingSearch {
-            facing,
-            point,
-            normal,
-            turn_square: reach.turn * reach.turn,
-            best: None,
-        };
-        for place in 0..facing.tree.triangles().len() {
-            search.see_leaf(0, place..place + 1, &mut (reach.within * reach.within));
+    fn by_looking_at_all(facing: &FacingTree<'_>, asked: Oriented, reach: Reach) -> Option<u32> {
+        let mut search = FacingSearch::new(facing, asked, reach);
+        for triangle in 0..facing.tree.triangles().len() {
+            search.see(triangle as u32, &mut (reach.within * reach.within));
         }
         search.best.map(|b| b.1.triangle)
     }
@@ -146,12 +161,18 @@ mod tests {
         let facing = FacingTree::new(&tree, &normals);
         let mut found = 0;
         for (k, normal) in round.iter().enumerate() {
-            let point = positions[(k * 97) % positions.len()] * 0.7;
+            let asked = Oriented {
+                point: positions[(k * 97) % positions.len()] * 0.7,
+                normal: *normal,
+            };
             for turn in [0.0, 0.1, 0.5] {
                 let reach = Reach { within: 0.4, turn };
-                let place = facing.closest(point, *normal, reach).map(|f| f.triangle);
-                assert_eq!(place, by_looking_at_all(&facing, point, *normal, reach), "{k} {turn}");
-                found += usize::from(place.is_some());
+                let of_all = by_looking_at_all(&facing, asked, reach);
+                for near in [None, Some(k as u32)] {
+                    let place = facing.closest(asked, reach, near).map(|f| f.triangle);
+                    assert_eq!(place, of_all, "{k} {turn} {near:?}");
+                }
+                found += usize::from(of_all.is_some());
             }
         }
         assert!(

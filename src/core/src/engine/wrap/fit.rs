@@ -1,6 +1,6 @@
 //! The fit itself: targets that follow the closest points, pulled harder from level to level.
 
-use super::facing::{FacingTree, Reach};
+use super::facing::{FacingPlace, FacingTree, Oriented, Reach};
 use super::normals::smooth_normals;
 use super::queries::answers;
 use super::target::TargetSurface;
@@ -82,6 +82,9 @@ pub(super) struct WrapFit<'a> {
     pub now: Vec<DVec3>,
     /// Where vertices are looked for: ahead of where they are, the way they go.
     ahead: Vec<DVec3>,
+    /// By vertex, the triangle of the target that the step before found; and the other way round.
+    near: Vec<Option<u32>>,
+    near_target: Vec<Option<u32>>,
 }
 
 impl<'a> WrapFit<'a> {
@@ -114,6 +117,8 @@ impl<'a> WrapFit<'a> {
             )?,
             now: mesh.positions.clone(),
             ahead: mesh.positions.clone(),
+            near: vec![None; mesh.positions.len()],
+            near_target: vec![None; target.mesh.positions.len()],
         })
     }
 
@@ -171,27 +176,32 @@ impl<'a> WrapFit<'a> {
     }
 
     /// Where the target is closest to each vertex and faces the same way.
-    fn closest_points(&self, reach: Reach, exec: &Exec<'_>) -> Result<Vec<Wanted>, Error> {
+    fn closest_points(&mut self, reach: Reach, exec: &Exec<'_>) -> Result<Vec<Wanted>, Error> {
         let normals = smooth_normals(&self.now, &self.task.template.triangles);
         let facing = FacingTree::new(&self.tree, &self.target.normals);
-        let of = |vertex: usize| {
-            let from = self.ahead[vertex];
-            if !self.pulled[vertex] || self.target.ends_at(&self.tree, from, reach.within) {
-                return Wanted::default();
+        let find = |vertex: usize| {
+            let (point, normal) = (self.ahead[vertex], normals[vertex]);
+            if !self.pulled[vertex] || self.target.ends_at(&self.tree, point, reach.within) {
+                return None;
             }
-            match facing.closest(from, normals[vertex], reach) {
-                Some(found) if !self.target.has_border_at(found.triangle, found.point) => Wanted {
-                    place: found.point,
-                    weight: found.cosine,
-                },
-                _ => Wanted::default(),
-            }
+            facing.closest(Oriented { point, normal }, reach, self.near[vertex])
         };
-        answers(&self.tree, self.now.len(), exec, of)
+        let found = answers(&self.tree, self.now.len(), exec, find)?;
+        self.near = found.iter().map(|f| f.map(|f| f.triangle)).collect();
+        let inner = |found: &FacingPlace| !self.target.has_border_at(found.triangle, found.point);
+        let wanted = found.into_iter().map(|found| match found.filter(inner) {
+            Some(found) => Wanted {
+                place: found.point,
+                weight: found.cosine,
+            },
+            None => Wanted::default(),
+        });
+        Ok(wanted.collect())
     }
 
-    fn add_pulls_from_target(&self, wanted: &mut [Wanted], reach: Reach, exec: &Exec<'_>) -> Result<(), Error> {
-        let pulls = pulls_from_target(self.target, &self.now, &self.triangles, reach, exec)?;
+    fn add_pulls_from_target(&mut self, wanted: &mut [Wanted], reach: Reach, exec: &Exec<'_>) -> Result<(), Error> {
+        let near = &mut self.near_target;
+        let pulls = pulls_from_target(self.target, &self.now, &self.triangles, reach, near, exec)?;
         for (vertex, pull) in pulls.into_iter().filter(|(v, _)| self.pulled[*v as usize]) {
             let own = &mut wanted[vertex as usize];
             let weight = own.weight + FROM_TARGET;

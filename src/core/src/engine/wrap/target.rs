@@ -24,6 +24,8 @@ pub(super) struct TargetSurface {
     /// By vertex, whether a border of the surface goes through it: an edge of one triangle that is seen. There the surface may go on
     /// where nothing was scanned.
     on_border: Vec<bool>,
+    /// Whether it has a border.
+    is_open: bool,
 }
 
 impl TargetSurface {
@@ -71,6 +73,7 @@ impl TargetSurface {
             mesh,
             seen,
             normals,
+            is_open: on_border.contains(&true),
             on_border,
         })
     }
@@ -89,6 +92,9 @@ impl TargetSurface {
 
     /// Whether what is closest to a point, within a distance, is on a border.
     pub fn ends_at(&self, tree: &TriangleBvh<'_>, point: DVec3, within: f64) -> bool {
+        if !self.is_open {
+            return false;
+        }
         let closest = tree.closest_point_within(point, within);
         closest.is_some_and(|found| self.has_border_at(found.triangle, found.point))
     }

@@ -1,7 +1,7 @@
 //! Pulls from the target: what of it nothing of the template is near pulls the template's nearest vertices. Closest points alone never
 //! find a hump that the template has not.
 
-use super::facing::{FacingTree, Reach};
+use super::facing::{FacingTree, Oriented, Reach};
 use super::normals::smooth_normals;
 use super::queries::answers;
 use super::target::TargetSurface;
@@ -13,7 +13,8 @@ use glam::DVec3;
 /// Nearer than this share of the farthest that counts, the closest points of the template are enough.
 const NEAR: f64 = 0.05;
 
-/// For vertices of the template, rising, the mean of what pulls them.
+/// For vertices of the template, rising, the mean of what pulls them. `near` has, by vertex of the target, the triangle that the step
+/// before found, and gets that of this step.
 ///
 /// # Errors
 /// Those of [`answers`].
@@ -22,22 +23,27 @@ pub(super) fn pulls_from_target(
     now: &[DVec3],
     triangles: &[[u32; 3]],
     reach: Reach,
+    near: &mut [Option<u32>],
     exec: &Exec<'_>,
 ) -> Result<Vec<(u32, DVec3)>, Error> {
     let normals = smooth_normals(now, triangles);
     let tree = TriangleBvh::build(now, triangles, exec.pool);
     let facing = FacingTree::new(&tree, &normals);
-    let pull = |vertex: usize| {
-        let (from, normal) = (target.mesh.positions[vertex], target.normals[vertex]);
+    let find = |vertex: usize| {
+        let (point, normal) = (target.mesh.positions[vertex], target.normals[vertex]);
         if normal == DVec3::ZERO || target.is_on_border(vertex) {
             return None;
         }
-        let found = facing.closest(from, normal, reach)?;
-        let is_far = found.point.distance(from) > NEAR * reach.within;
-        is_far.then(|| (corner_near(now, triangles[found.triangle as usize], from), from))
+        facing.closest(Oriented { point, normal }, reach, near[vertex])
     };
-    let found = answers(&tree, target.mesh.positions.len(), exec, pull)?;
-    let mut pulls: Vec<(u32, DVec3)> = found.into_iter().flatten().collect();
+    let found = answers(&tree, target.mesh.positions.len(), exec, find)?;
+    let mut pulls = Vec::new();
+    for ((near, found), &from) in near.iter_mut().zip(found).zip(&target.mesh.positions) {
+        *near = found.map(|f| f.triangle);
+        if let Some(found) = found.filter(|f| f.point.distance(from) > NEAR * reach.within) {
+            pulls.push((corner_near(now, triangles[found.triangle as usize], from), from));
+        }
+    }
     pulls.sort_by_key(|p| p.0);
     let mean = |of: &[(u32, DVec3)]| (of[0].0, of.iter().map(|p| p.1).sum::<DVec3>() / of.len() as f64);
     Ok(pulls.chunk_by(|a, b| a.0 == b.0).map(mean).collect())
