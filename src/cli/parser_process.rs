@@ -5,12 +5,12 @@
 //! processes, or use the network; a filter of system calls ends it where it tries. The server raises the limit of its memory as far as
 //! memory was reserved for it, and ends it when the caller gives up, or after the time that it has; it ends with the server, too.
 
-#[cfg(target_os = "linux")]
+#[cfg(all(target_os = "linux", target_pointer_width = "64"))]
 pub(super) use confined::{answer, is_called, start};
-#[cfg(not(target_os = "linux"))]
+#[cfg(not(all(target_os = "linux", target_pointer_width = "64")))]
 pub(super) use unavailable::{answer, is_called, start};
 
-#[cfg(target_os = "linux")]
+#[cfg(all(target_os = "linux", target_pointer_width = "64"))]
 mod confined {
     use crate::asset::{ParserProcess, answer_parser_calls};
     use rustix::process::{
@@ -308,7 +308,7 @@ mod confined {
     }
 }
 
-#[cfg(not(target_os = "linux"))]
+#[cfg(not(all(target_os = "linux", target_pointer_width = "64")))]
 mod unavailable {
     use crate::asset::ParserProcess;
     use std::io;
@@ -326,7 +326,7 @@ mod unavailable {
     pub(in super::super) fn start(_: Duration) -> io::Result<Box<dyn ParserProcess>> {
         Err(io::Error::new(
             io::ErrorKind::Unsupported,
-            "only Linux confines a process for it",
+            "only Linux of 64 bits confines a process for it",
         ))
     }
 }

@@ -150,7 +150,7 @@ impl Cluster {
                 self.start_node(victim);
             }
             Fault::Stop => {
-                self.node(victim).signal("-STOP");
+                self.node(victim).pause();
                 lasting(LEASE * 2).await;
                 let other = (victim + 1) % NAMES.len();
                 self.take(other).kill();

@@ -19,7 +19,7 @@ fn node(place: &StorePlace, name: &str) -> ServedProgram {
     node_at(place, name, place.database().map(|d| d.url.clone()))
 }
 
-/// As `node`, with further arguments.
+/// As `node`, with further arguments, or others than it has.
 fn node_with(place: &StorePlace, name: &str, more: &[&str]) -> ServedProgram {
     started(place, name, place.database().map(|d| d.url.clone()), more)
 }
@@ -30,9 +30,13 @@ fn node_at(place: &StorePlace, name: &str, database: Option<String>) -> ServedPr
 }
 
 fn started(place: &StorePlace, name: &str, database: Option<String>, more: &[&str]) -> ServedProgram {
-    let arguments = ["--advertise", "http://127.0.0.1:0", "--node", name];
-    let times = ["--lease", "1s", "--heartbeat", "200ms", "--drain-deadline", "5s"];
-    let arguments = [&arguments[..], &times[..], more].concat();
+    let mut arguments = vec!["--advertise", "http://127.0.0.1:0", "--node", name];
+    for default in [["--lease", "1s"], ["--heartbeat", "200ms"], ["--drain-deadline", "5s"]] {
+        if !more.contains(&default[0]) {
+            arguments.extend(default);
+        }
+    }
+    arguments.extend(more);
     let log = format!("log-{name}");
     place
         .start_logged(&log, database.as_deref(), &arguments)

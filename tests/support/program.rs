@@ -2,6 +2,7 @@
 
 use super::server::{AnsweredCall as _, Socket, http, retried, within};
 use reqwest::RequestBuilder;
+use rustix::process::{Pid, WaitId, WaitIdOptions, waitid};
 use serde_json::Value;
 use std::fs::File;
 use std::io::{BufRead as _, BufReader};
@@ -92,10 +93,17 @@ impl ServedProgram {
         self.child.wait().expect("it ends");
     }
 
-    /// Sends it a signal, such as `-STOP`, which stops it where it is, and `-CONT`, which lets it go on.
+    /// Sends it a signal, such as `-CONT`, which lets it go on after [`ServedProgram::pause`].
     pub fn signal(&self, name: &str) {
         let done = Command::new("kill").args([name, &self.id().to_string()]).status();
         assert!(done.expect("kill runs").success());
+    }
+
+    /// Stops it where it is. It does nothing more once this returns; after the signal alone its threads go on until they notice.
+    pub fn pause(&self) {
+        self.signal("-STOP");
+        let stopped = waitid(WaitId::Pid(Pid::from_child(&self.child)), WaitIdOptions::STOPPED);
+        assert!(stopped.expect("a child").is_some_and(|status| status.stopped()));
     }
 
     /// Asks it to stop, and returns at once.

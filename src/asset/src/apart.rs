@@ -47,6 +47,9 @@ pub trait ParserProcess: Read + Write + Send {
     fn end(&mut self) -> String;
 }
 
+/// About as many bytes as a process holds for its own once it has started.
+pub(super) const PROCESS_BYTES: u64 = 4 << 20;
+
 /// Bytes that a part of a message takes beside its own.
 const PART_BYTES: u64 = 64;
 

@@ -1,9 +1,10 @@
 //! Nodes that are killed, stopped for a while or drained: what was acknowledged is at another one, once, and streams go on there.
 
-use super::{LEASE, answered, drag, node, stream, unmoved};
+use super::{LEASE, answered, drag, node, node_with, stream, unmoved};
 use crate::durable::place::StorePlace;
 use crate::durable::{bar_at, bar_session, metric, path, seen, turn};
 use crate::support::process::needed;
+use crate::support::program::ServedProgram;
 use crate::support::server::{
     AnsweredCall as _, Came, bar_obj, eventually, header, stays, text, turn_json, turned, within,
 };
@@ -55,7 +56,7 @@ async fn a_node_that_was_stopped_past_its_lease_neither_writes_nor_reports_what_
     turn(&a, &id, 0.3).await;
     let mut dragged = stream(&a, &id).await;
     drag(&mut dragged, turned(1, 0.1, false)).await.expect("a frame");
-    a.signal("-STOP");
+    a.pause();
     // It may be in the middle of anything; this commit was sent and no one knows what became of it.
     dragged.send(deform_request::Message::Pose(turned(2, 0.7, true))).await;
     assert_eq!(answered(&b, &path(&id, "")).await, 200);
@@ -155,6 +156,12 @@ async fn written(place: &StorePlace) -> Vec<i64> {
     counts
 }
 
+/// A node whose lease does not run out, however slow the machine is. One that knows that it had run out looks who has its sessions, and
+/// takes them back, for [`take_away`] names an owner without a lease.
+fn unnoticing(place: &StorePlace) -> ServedProgram {
+    node_with(place, "a", &["--lease", "5m"])
+}
+
 /// Another node takes all sessions, without the one that has them noticing.
 async fn take_away(place: &StorePlace) {
     place
@@ -172,7 +179,7 @@ async fn set_free(place: &StorePlace) {
 #[tokio::test(flavor = "multi_thread")]
 async fn no_write_of_a_session_lands_that_another_node_has() {
     let place = needed!(StorePlace::remote().await);
-    let a = node(&place, "a");
+    let a = unnoticing(&place);
     let id = bar_session(&a).await;
     turn(&a, &id, 0.3).await;
     let cut = json!({"cut": {"plane": {"normal": [0, 0, 1], "offset": 1.5}, "fill": true}});
@@ -212,7 +219,7 @@ async fn no_write_of_a_session_lands_that_another_node_has() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stale_commit_takes_nothing_of_others_along() {
     let place = needed!(StorePlace::remote().await);
-    let a = node(&place, "a");
+    let a = unnoticing(&place);
     let (lost, kept) = (bar_session(&a).await, bar_session(&a).await);
     let taken = format!("UPDATE sessions SET owner = 'another', generation = generation + 1 WHERE id = '{lost}'");
     place.tamper(&taken).await;

@@ -3,7 +3,7 @@
 use super::super::gltf;
 use super::scene::FORMAT;
 use super::translation::translate_here;
-use crate::apart::{AnsweredCalls, DecodedPlace, ParserCalls, ParserStarter};
+use crate::apart::{AnsweredCalls, DecodedPlace, PROCESS_BYTES, ParserCalls, ParserStarter};
 use crate::codec::Translation;
 use crate::files::ReadWatch;
 use crate::{Error, FileSet, Limits};
@@ -15,9 +15,6 @@ use std::sync::{Mutex, PoisonError};
 
 /// What calls of this decoder name.
 pub(in super::super) const DECODER: &str = "fbx";
-
-/// Bytes that the process may hold before it asks for more, beside the files.
-const FIRST_BYTES: u64 = 1 << 20;
 
 /// A file to be read; its parts are the main file and the companions.
 #[derive(Serialize, Deserialize)]
@@ -108,7 +105,7 @@ pub(super) fn translate(starter: ParserStarter, files: &FileSet, watch: &ReadWat
         place: "file",
         progress: watch.progress(),
     };
-    let mut held = files.total_bytes().saturating_add(FIRST_BYTES);
+    let mut held = files.total_bytes().saturating_add(PROCESS_BYTES);
     watch.reserve_apart(held)?;
     let mut calls = ParserCalls::start(starter, FORMAT)?;
     calls.allow(held, at)?;
@@ -254,7 +251,7 @@ mod tests {
     }
 
     /// Bytes that the read may hold in all.
-    const ROOM: u64 = 4 << 20;
+    const ROOM: u64 = 8 << 20;
 
     struct Room;
 
@@ -291,7 +288,7 @@ mod tests {
             message(&translated(&["a.png"]), &[b"glTF"]),
             message(&translated(&[]), &[b"glTF", b"more"]),
             message(&FbxAnswer::MayHold(u64::MAX), &[]),
-            message(&FbxAnswer::MayHold(ROOM / 2), &[]),
+            message(&FbxAnswer::MayHold(ROOM - PROCESS_BYTES / 2), &[]),
             message(&"something else", &[]),
         ];
         for said in lies {
@@ -306,7 +303,7 @@ mod tests {
         );
         // Lengths are refused before anything of them is taken, JSON by what it becomes.
         let claims = |length: u64| [1, length].map(u64::to_le_bytes).concat();
-        let names = message(&translated(&[""; 100_000]), &[b"glTF"]);
+        let names = message(&translated(&[""; 200_000]), &[b"glTF"]);
         let garbage = b"something else than a message".to_vec();
         for said in [claims(u64::MAX), claims(ROOM), names, garbage] {
             let text = read(said).expect_err("refused");

@@ -5,7 +5,7 @@ use super::container::GltfFault;
 use super::document::GltfDocument;
 use super::schema::{BufferView, GltfAccessor};
 use super::stored::{BufferOrigin, StoredBuffer, ViewDecoding};
-use crate::apart::{DecodedPlace, ParserCalls};
+use crate::apart::{DecodedPlace, PROCESS_BYTES, ParserCalls};
 use crate::files::ReadWatch;
 use crate::{Error, FileSet};
 use base64::Engine as _;
@@ -126,6 +126,7 @@ impl<'a> GltfDocument<'a> {
         let coding = ViewCoding::of(compression, source.len() as u64, &place, self.fault)?;
         let mut calls = self.bytes.calls.borrow_mut();
         if let (None, Some(starter)) = (&*calls, apart) {
+            self.bytes.reserve(PROCESS_BYTES)?;
             *calls = Some(ParserCalls::start(starter, self.fault.0)?);
         }
         let at = DecodedPlace {
