@@ -19,9 +19,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
-/// Prints a line on stderr, as `eprintln!` does, with what would steer a terminal escaped.
+/// Prints a line on stderr, with what would steer a terminal escaped. Unlike `eprintln!` it goes on where nothing reads stderr
+/// any more, such as `pliant … 2>&1 | head`: the work matters, not its report.
 macro_rules! say {
-    ($($part:tt)*) => { eprintln!("{}", $crate::cli::terminal::harmless(&format!($($part)*))) };
+    ($($part:tt)*) => { $crate::cli::terminal::report(&format!($($part)*)) };
 }
 /// Prints a line on stdout, as `println!` does, with what would steer a terminal escaped.
 macro_rules! list {
@@ -166,6 +167,11 @@ pub(super) fn print_text(text: &str) -> Result<(), CliFailure> {
         .write_all(harmless(text).as_bytes())
         .and_then(|()| stdout.flush());
     written.map_err(|e| CliFailure::Internal(format!("cannot write to stdout: {e}")))
+}
+
+/// Writes a line to stderr, if something reads it.
+pub(super) fn report(text: &str) {
+    let _ = writeln!(std::io::stderr(), "{}", harmless(text));
 }
 
 /// Text with the characters that steer a terminal, or turn the direction of what follows, escaped as JSON does: names come from files.

@@ -146,6 +146,16 @@ fn what_is_wrong_is_said_and_the_program_goes_on() {
         ),
         (
             "pose",
+            json!({"session": session, "moved": [{"region": "top", "aim": 7}]}),
+            "moved[0].aim",
+        ),
+        (
+            "pose",
+            json!({"session": session, "moved": [{"region": "top", "rotation": {"axis": [1], "degrees": 40}}]}),
+            "moved[0].rotation.axis",
+        ),
+        (
+            "pose",
             json!({"session": session, "moved": [{"region": "top", "scale": 1e30}]}),
             "moved[0].scale",
         ),
@@ -166,6 +176,12 @@ fn what_is_wrong_is_said_and_the_program_goes_on() {
         assert_eq!(answer["isError"], true, "{tool} {arguments}");
         assert_eq!(facts(&answer)["field"], field, "{tool} {arguments}: {answer}");
     }
+    // Three angles, as other programs take them.
+    let turned = json!({"session": session, "moved": [{"region": "top", "rotation": [0, 0, 40]}]});
+    let answer = agent.call("pose", turned);
+    refused(&answer, "INVALID_ARGUMENT", "moved[0].rotation");
+    let allowed = "expected an axis and degrees, such as {\\\"axis\\\": \\\"z\\\", \\\"degrees\\\": 40}";
+    assert!(answer.to_string().contains(allowed), "{answer}");
     let said = agent
         .call("region", json!({"session": session, "words": "carburettor"}))
         .to_string();

@@ -437,6 +437,18 @@ fn a_terminal_sees_which_stage_is_under_way_and_how_far() {
 }
 
 #[test]
+fn work_goes_on_where_nothing_reads_what_is_reported() {
+    let folder = Workplace::new();
+    folder.put("job.json", JOB);
+    let (unread, stderr) = std::io::pipe().expect("a pipe");
+    drop(unread);
+    let arguments = "deform creature.glb --job job.json -o out.glb --progress plain";
+    let ended = pliant_in(folder.path(), arguments).stderr(stderr).status();
+    assert_eq!(ended.expect("it runs").code(), Some(0), "as `2>&1 | head` does");
+    assert!(folder.at("out.glb").exists());
+}
+
+#[test]
 fn a_command_that_fails_says_why_in_the_document_that_was_asked_for() {
     let folder = Workplace::new();
     folder.put("job.json", r#"{"handels": []}"#);

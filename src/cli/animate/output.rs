@@ -215,7 +215,7 @@ impl AnimationOutputArgs {
             Some(format) if format == Format::GLB => Ok(OutputKind::Gathered(GatheredKind::Glb(self.played_form()?))),
             Some(format) => {
                 let problem = match format.refusal_to_write() {
-                    Some(refusal) => format!("{refusal}; {ALLOWED_OUTPUTS}"),
+                    Some(_) => format!("{format} is read, not written; {ALLOWED_OUTPUTS}"),
                     None => format!(
                         "one {format} holds one frame; a folder of them ends in a slash, with --format {format}"
                     ),

@@ -38,7 +38,7 @@ fn bad_arguments_say_what_is_allowed_and_write_nothing() {
         ("-o walk.ply", "a folder of them ends in a slash, with --format ply"),
         (
             "-o walk.fbx",
-            "fbx is read, not written; choose glb, gltf, obj, ply, off, stl, 3mf, splat or spz; allowed are .glb, .usda, .pc2, .mdd, .png, .apng",
+            "fbx is read, not written; allowed are .glb, .usda, .pc2, .mdd, .png, .apng",
         ),
         ("-o there/ --format docx", "--format is \"docx\", allowed are glb,"),
         ("-o there/ --format fbx", "--format is \"fbx\", allowed are glb,"),

@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import bpy
 
@@ -95,13 +97,29 @@ def _created(object: bpy.types.Object) -> dict[str, Any]:
 def refusal() -> str:
     """Why nothing can be computed as things are set; empty where it can be tried."""
     server, _, program = preferences.way()
-    if MISSING or server or os.environ.get("PLIANT_SERVER"):
+    server = server or os.environ.get("PLIANT_SERVER", "")
+    if MISSING:
         return MISSING
+    if server:
+        if bpy.app.online_access or _is_here(server):
+            return ""
+        return "Blender may not use the network: allow it in the preferences, System > Network > Allow Online Access"
     if sys.platform == "win32":
         return f"no server runs on Windows: start one on a machine with Linux, and {_NAME_ONE}"
     if sys.platform == "darwin" and not program and not os.environ.get("PLIANT_BIN") and shutil.which("pliant") is None:
         return f"no program is made for macOS: start one on a machine with Linux, and {_NAME_ONE}"
     return ""
+
+
+def _is_here(server: str) -> bool:
+    """Whether an address is this machine's own, or none, which the client refuses: neither needs the network."""
+    try:
+        name = urlsplit(server if "//" in server else f"//{server}").hostname or ""
+        if not name or " " in name:
+            return True
+        return name == "localhost" or ip_address(name).is_loopback
+    except ValueError:
+        return False
 
 
 def _program(named: str) -> str:

@@ -329,6 +329,14 @@ def test_a_server_that_is_not_there_or_went_is_told_and_found_again(bar: bpy.typ
     move(bar, control, 0.5)
     monkeypatch.setattr(pliant_addon.preferences, "way", lambda: ("not an address", "", ""))
     refusal("HOST:PORT")
+    # Who uses Blender decides about the network; what stays on this machine is none.
+    assert not bpy.app.online_access, "Blender starts with the network switched off"
+    for far in ("https://mesh.example:7411", "192.0.2.1:7411", "http://[2001:db8::1]:7411"):
+        monkeypatch.setattr(pliant_addon.preferences, "way", lambda far=far: (far, "", ""))
+        refusal("Allow Online Access")
+    for near in ("http://localhost:7411", "127.0.0.1:7411", "http://[::1]:7411", ""):
+        monkeypatch.setattr(pliant_addon.preferences, "way", lambda near=near: (near, "", ""))
+        assert link.refusal() == "", near
     with LocalServer() as first:
         monkeypatch.setattr(pliant_addon.preferences, "way", lambda: (first.url, "a token", ""))
         assert bpy.ops.pliant.solve() == {"FINISHED"}

@@ -8,7 +8,9 @@ import {
   ListSessionsResponseSchema,
   SessionSchema,
 } from "./gen/pliant/v1/pliant_pb.js";
+import { PliantError } from "./errors.js";
 import type { Named } from "./names.js";
+import { written } from "./poses.js";
 import { Session } from "./session.js";
 import type { CallOptions, Progress, TransportOptions } from "./transport.js";
 import { Transport, jsonOf } from "./transport.js";
@@ -35,8 +37,18 @@ export class Client {
     this.transport = new Transport(options);
   }
 
+  toString(): string {
+    return `Client of ${this.transport.url}`;
+  }
+
+  /** What node's console shows. */
+  [Symbol.for("nodejs.util.inspect.custom")](): string {
+    return this.toString();
+  }
+
   /** Uploads a model (glb, vrm, gltf, obj, ply, off, stl, 3mf, fbx, splat or spz) and opens a session with it. */
   async open(model: Blob, options: OpenOptions = {}): Promise<Session> {
+    checkModel(model);
     const { create: given = {}, companions, ...call } = options;
     // A session is known by its file, unless it is given another name.
     const create = given.label === undefined && model instanceof File ? { ...given, label: labelOf(model) } : given;
@@ -94,6 +106,13 @@ function query(create: CreateOptions): string {
 
 /** Bytes of the longest label that a server takes. */
 const LONGEST_LABEL = 256;
+
+/** Refuses a path, whose letters the server would read as a model. */
+function checkModel(model: unknown): void {
+  if (typeof model !== "string") return;
+  const how = "a File or a Blob is allowed; in node, new Blob([await readFile(path)])";
+  throw new PliantError("INVALID_ARGUMENT", `model: ${written(model)} is a string; ${how}`);
+}
 
 /** A file's name as a label; none where it makes none. */
 function labelOf({ name }: File): string {

@@ -47,6 +47,9 @@ export function littleEndian(numbers: Float32Array = new Float32Array()): Uint8A
 
 /** Refuses poses that no server could read. An empty list is a field that is not given. */
 export function checkPoses(entries: readonly unknown[]): void {
+  if (!Array.isArray(entries)) {
+    throw new PliantError("INVALID_ARGUMENT", `poses: ${written(entries)}, a list such as [{ id: "head", pose: { translation: [0, 1, 0] } }] is allowed`);
+  }
   for (const entry of entries) {
     const { id, pose } = (entry ?? {}) as { id?: unknown; pose?: unknown };
     if (pose === undefined || pose === null) continue;

@@ -131,6 +131,16 @@ export class Session {
     return this.facts.id;
   }
 
+  toString(): string {
+    const { label, model } = this.facts;
+    return `Session ${label === "" ? "" : `${JSON.stringify(label)} `}${this.id}: ${model?.vertices ?? 0} vertices, revision ${this.known}`;
+  }
+
+  /** What node's console shows. */
+  [Symbol.for("nodejs.util.inspect.custom")](): string {
+    return this.toString();
+  }
+
   /** Updates `facts`, and renews the session's expiry. */
   refresh(call: CallOptions = {}): Promise<Facts> {
     return this.told(this.transport.message(SessionSchema, "GET", this.path(""), call));

@@ -69,7 +69,9 @@ export type Progress = (fraction: number) => void;
 /** Talks to one server. */
 export class Transport {
   readonly url: string;
-  private readonly headers: Record<string, string>;
+  /** Private at run time too: logs of a client must not show credentials. */
+  readonly #headers: Record<string, string>;
+  #token: string | undefined;
   private readonly patience: number;
   private readonly timeout: number;
   private readonly signOfLife: number;
@@ -77,7 +79,6 @@ export class Transport {
   /** Whether the server has answered anything: who has never been there is not waited for. */
   private reached = false;
   private readonly askToken: ((refused: boolean) => Promise<string | undefined>) | undefined;
-  private token: string | undefined;
   private asking: Promise<string | undefined> | undefined;
   private readonly places: Places;
   private readonly fetch: typeof globalThis.fetch;
@@ -87,14 +88,23 @@ export class Transport {
     const page = typeof location === "object" && location.protocol.startsWith("http") ? location.origin : undefined;
     this.url = addressOf(options.url ?? page ?? "http://127.0.0.1:7411");
     this.places = new Places(this.url);
-    this.headers = options.headers ?? {};
+    this.#headers = options.headers ?? {};
     this.patience = options.patience ?? 15;
     this.timeout = secondsOf("timeout", options.timeout ?? 600);
     this.signOfLife = secondsOf("signOfLife", options.signOfLife ?? SIGN_OF_LIFE_MS / 1000);
-    this.token = options.token ?? environment("PLIANT_TOKEN");
+    this.#token = options.token ?? environment("PLIANT_TOKEN");
     this.askToken = options.askToken;
     this.fetch = options.fetch ?? globalThis.fetch.bind(globalThis);
     this.Socket = options.WebSocket ?? globalThis.WebSocket ?? socketOfNode();
+  }
+
+  toString(): string {
+    return `Transport to ${this.url}`;
+  }
+
+  /** What node's console shows. */
+  [Symbol.for("nodejs.util.inspect.custom")](): string {
+    return this.toString();
   }
 
   /** A call whose answer is a message. */
@@ -205,7 +215,7 @@ export class Transport {
       throw new PliantError("UNIMPLEMENTED", "there is no WebSocket here; node 22 has one, node 20 takes that of `npm install ws`, or give one: `new Client({ WebSocket })`");
     }
     // A page cannot give its WebSocket headers; the token goes as a sub-protocol, which the server does not repeat.
-    const protocols = this.token === undefined ? ["pliant.v1"] : ["pliant.v1", `pliant.bearer.${this.token}`];
+    const protocols = this.#token === undefined ? ["pliant.v1"] : ["pliant.v1", `pliant.bearer.${this.#token}`];
     const { url, node } = this.places.of(path);
     // A page cannot give it headers either.
     const named = node === undefined ? "" : `${path.includes("?") ? "&" : "?"}pliant-node=${encodeURIComponent(node)}`;
@@ -221,7 +231,7 @@ export class Transport {
     { body, json, signal, idempotencyKey, asked }: Sent,
     more: Record<string, string> = {},
   ): Promise<Response> {
-    const headers: Record<string, string> = { ...this.headers, accept, ...more };
+    const headers: Record<string, string> = { ...this.#headers, accept, ...more };
     const init: RequestInit = { method, headers };
     if (json !== undefined) {
       headers["content-type"] = "application/json";
@@ -266,17 +276,17 @@ export class Transport {
 
   /** Adds the token to the headers of a call; answers which. */
   private show(headers: Record<string, string>): string | undefined {
-    if (this.token !== undefined) headers["authorization"] = `Bearer ${this.token}`;
-    return this.token;
+    if (this.#token !== undefined) headers["authorization"] = `Bearer ${this.#token}`;
+    return this.#token;
   }
 
   /** Whether there is another token than the one that was refused; asks for it once, however many calls wait. */
   private async hasOther(refused: string | undefined): Promise<boolean> {
-    if (this.token !== refused) return true;
+    if (this.#token !== refused) return true;
     if (this.askToken === undefined) return false;
     this.asking ??= this.askToken(refused !== undefined).finally(() => (this.asking = undefined));
     const token = await this.asking;
-    if (token !== undefined) this.token = token;
+    if (token !== undefined) this.#token = token;
     return token !== undefined;
   }
 
@@ -290,7 +300,7 @@ export class Transport {
     hops = 0,
   ): Promise<string> {
     const { signal, idempotencyKey, asked } = call;
-    const headers = { ...this.headers };
+    const headers = { ...this.#headers };
     const shown = this.show(headers);
     point(headers, place, hops);
     if (asked !== undefined) Object.assign(asked, { url: place.url, headers: signHeaders(headers) });

@@ -6,8 +6,9 @@ import { cpSync, mkdtempSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { test } from "node:test";
+import { inspect } from "node:util";
 import { fileURLToPath } from "node:url";
-import { Client, Stream, regionFrom } from "../dist/index.js";
+import { Client, Session, Stream, regionFrom } from "../dist/index.js";
 import { FakeSocket } from "./fake.mjs";
 
 const says = (pattern) => (error) => {
@@ -58,6 +59,25 @@ test("a pose that is none is told with its handle and field", async () => {
   stream.pose([{ id: "head", pose: { translation: [0, 1, 0], scale: [2] } }, { id: "feet" }]);
   stream.pose([{ id: "head", pose: { translation: [0, 1, 0], freeRotation: true } }]);
   stream.close();
+});
+
+test("what is given in place of a model, or of a list of poses, is refused", async () => {
+  const client = new Client({ url: "http://127.0.0.1:9" });
+  await assert.rejects(client.open("creature.glb"), says(/^model: "creature\.glb" is a string; a File or a Blob is allowed; in node, new Blob/));
+  const socket = new FakeSocket();
+  const stream = new Stream({ connect: () => socket, probe: async () => undefined, known: () => 0 }, {}, {}, 1);
+  assert.throws(() => stream.pose({ head: { translation: [0, 1, 0] } }), says(/^poses: \{"head".*, a list such as \[\{ id: "head"/));
+  stream.close();
+});
+
+test("a client and its session are logged in a line, without the token", () => {
+  const client = new Client({ url: "http://host:1", token: "secret", headers: { "x-key": "secret" } });
+  const session = new Session(client.transport, { id: "abc", label: "cup.glb", revision: 3n, model: { vertices: 8 } });
+  assert.equal(inspect(client), "Client of http://host:1");
+  assert.equal(inspect(session), 'Session "cup.glb" abc: 8 vertices, revision 3');
+  for (const written of [inspect({ client }), JSON.stringify(client), String(session), inspect(client.transport)]) {
+    assert.doesNotMatch(written, /secret/);
+  }
 });
 
 test("a page of another origin is told of cors_origins, one of the server's own is not", async () => {

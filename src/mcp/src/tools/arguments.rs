@@ -4,9 +4,11 @@ use crate::picture::{PictureOrder, SIDES, View};
 use glam::DVec3;
 use pliant_session::Error;
 use prost::Message;
-use serde::Deserialize;
-use serde::de::DeserializeOwned;
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{DeserializeOwned, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer};
 use serde_json::{Map, Value};
+use std::fmt;
 
 /// Views of a picture, at most.
 const MOST_VIEWS: usize = 4;
@@ -125,7 +127,7 @@ pub(crate) struct RegionArguments {
 
 /// A direction: by its word, or as a vector in model space.
 #[derive(Debug, Clone, Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "a direction is allowed, such as \"up\", \"-x\" or [0, 1, 0]")]
 pub(crate) enum Direction {
     Word(String),
     Vector([f64; 3]),
@@ -173,9 +175,30 @@ pub(crate) struct AxisTurn {
     pub degrees: f64,
 }
 
+/// Reads a rotation from an object alone: the fields of a struct may also come as a list, and three angles would be an axis.
+fn axis_turn<'de, D: Deserializer<'de>>(from: D) -> Result<Option<AxisTurn>, D::Error> {
+    struct Object;
+    impl<'de> Visitor<'de> for Object {
+        type Value = Option<AxisTurn>;
+
+        fn expecting(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
+            to.write_str("an axis and degrees, such as {\"axis\": \"z\", \"degrees\": 40}")
+        }
+
+        fn visit_unit<E>(self) -> Result<Self::Value, E> {
+            Ok(None)
+        }
+
+        fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Self::Value, A::Error> {
+            AxisTurn::deserialize(MapAccessDeserializer::new(map)).map(Some)
+        }
+    }
+    from.deserialize_any(Object)
+}
+
 /// One number for all axes, or three.
 #[derive(Debug, Clone, Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "a number or [x, y, z] is allowed")]
 pub(crate) enum Scale {
     Uniform(f64),
     Axes([f64; 3]),
@@ -188,6 +211,7 @@ pub(crate) struct MovedArguments {
     pub region: String,
     pub translation: Option<[f64; 3]>,
     pub to: Option<[f64; 3]>,
+    #[serde(default, deserialize_with = "axis_turn")]
     pub rotation: Option<AxisTurn>,
     pub aim: Option<Direction>,
     pub scale: Option<Scale>,

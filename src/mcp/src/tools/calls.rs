@@ -91,10 +91,13 @@ impl SessionCaller {
         facts["held"] = json!(still);
         let number = |name: &str| facts.get(name).and_then(Value::as_u64).unwrap_or_default();
         let mut text = format!(
-            "{} vertices, {} triangles, {} connected parts; its box goes from {} to {}, up is {}, the front is {}, left is {}.\n",
+            "{} vertices, {} triangles, {}; its box goes from {} to {}, up is {}, the front is {}, left is {}.\n",
             number("vertices"),
             number("triangles"),
-            number("parts"),
+            match number("parts") {
+                1 => "1 connected part".to_owned(),
+                parts => format!("{parts} connected parts"),
+            },
             facts["box"]["min"],
             facts["box"]["max"],
             facts["up"].as_str().unwrap_or_default(),
@@ -212,7 +215,7 @@ impl SessionCaller {
             was = now;
         }
         let seen = self.seen(&session, Vec::new(), order).await?;
-        let done = if is_undo { "Undone" } else { "Done again" };
+        let done = if is_undo { "Undone" } else { "Redone" };
         Ok(ToolAnswer {
             text: format!("{done}. {}", seen.text),
             ..seen

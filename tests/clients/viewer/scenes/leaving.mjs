@@ -37,6 +37,8 @@ export async function play({ browser, url, server }) {
   await sheet.picture("leaving");
   assert.ok(await answer("Keep").evaluate((button) => button === document.activeElement), "Keep has the focus");
   await sheet.key("Control+z");
+  // Nor does another file act behind the question.
+  await sheet.drop({ name: "notes.txt", mimeType: "text/plain", buffer: Buffer.from("no model") });
   await sheet.key("Escape");
   await question.waitFor({ state: "hidden" });
   assert.equal(await sheet.ask("session"), bent);
@@ -45,6 +47,7 @@ export async function play({ browser, url, server }) {
   // Kept: the other model opens, and the start page goes on with the first.
   await sheet.drop(finger(600));
   await answer("Keep").waitFor();
+  assert.equal(await page.getByText("Not a model").count(), 0, "what was dropped behind the question is not looked at");
   await sheet.key("Enter");
   await page.waitForFunction((before) => window.pliantViewer.session() !== before, bent);
   await opened("the other model opens");

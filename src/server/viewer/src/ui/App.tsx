@@ -5,6 +5,7 @@ import { useEffect, useRef, useState } from "preact/hooks";
 import { AnimationBar, Panes } from "./AnimationBar.tsx";
 import { openDropped } from "./files.ts";
 import { RigBar } from "./RigBar.tsx";
+import { leavingQuestion } from "../app/leaving.ts";
 import { installProbe } from "../app/probe.ts";
 import * as s from "../app/signals.ts";
 import { install } from "../app/wiring.ts";
@@ -102,6 +103,8 @@ function DropTarget(): JSX.Element | null {
       setOver(false);
       if (!withFiles(event)) return;
       event.preventDefault();
+      // Another file does not act behind the question that one asked.
+      if (leavingQuestion.peek() !== undefined) return;
       if (event.dataTransfer !== null) void openDropped(event.dataTransfer);
     };
     addEventListener("dragenter", enter);
