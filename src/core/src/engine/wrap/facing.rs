@@ -14,7 +14,7 @@ const MOST_APART: f64 = 2.0 - 2.0 * LEAST_COSINE;
 
 /// How far a place may be, and what differences of normals count.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Reach {
+pub(super) struct FacingLimits {
     /// No place counts that is farther.
     pub within: f64,
     /// What a difference of normals of length 1 counts as, as a distance.
@@ -63,7 +63,7 @@ impl<'a> FacingTree<'a> {
     /// The place for which the squares of the distance and of the difference of normals have the least sum; of equal ones that of the
     /// smallest triangle. Of each triangle its closest point is looked at, with what lies between the normals of its corners. A triangle
     /// that is probably near, such as the answer of the step before, makes the search faster and does not change the answer.
-    pub fn closest(&self, asked: Oriented, reach: Reach, near: Option<u32>) -> Option<FacingPlace> {
+    pub fn closest(&self, asked: Oriented, reach: FacingLimits, near: Option<u32>) -> Option<FacingPlace> {
         let mut search = FacingSearch::new(self, asked, reach);
         let mut limit = reach.within * reach.within;
         if let Some(triangle) = near {
@@ -84,7 +84,7 @@ struct FacingSearch<'a> {
 }
 
 impl<'a> FacingSearch<'a> {
-    fn new(facing: &'a FacingTree<'a>, asked: Oriented, reach: Reach) -> Self {
+    fn new(facing: &'a FacingTree<'a>, asked: Oriented, reach: FacingLimits) -> Self {
         Self {
             facing,
             asked,
@@ -142,7 +142,7 @@ mod tests {
     use crate::pool::Pool;
 
     /// All triangles looked at, one after the other.
-    fn by_looking_at_all(facing: &FacingTree<'_>, asked: Oriented, reach: Reach) -> Option<u32> {
+    fn by_looking_at_all(facing: &FacingTree<'_>, asked: Oriented, reach: FacingLimits) -> Option<u32> {
         let mut search = FacingSearch::new(facing, asked, reach);
         for triangle in 0..facing.tree.triangles().len() {
             search.see(triangle as u32, &mut (reach.within * reach.within));
@@ -166,7 +166,7 @@ mod tests {
                 normal: *normal,
             };
             for turn in [0.0, 0.1, 0.5] {
-                let reach = Reach { within: 0.4, turn };
+                let reach = FacingLimits { within: 0.4, turn };
                 let of_all = by_looking_at_all(&facing, asked, reach);
                 for near in [None, Some(k as u32)] {
                     let place = facing.closest(asked, reach, near).map(|f| f.triangle);

@@ -1,6 +1,6 @@
 //! The fit itself: targets that follow the closest points, pulled harder from level to level.
 
-use super::facing::{FacingPlace, FacingTree, Oriented, Reach};
+use super::facing::{FacingLimits, FacingPlace, FacingTree, Oriented};
 use super::normals::smooth_normals;
 use super::queries::answers;
 use super::target::TargetSurface;
@@ -147,7 +147,7 @@ impl<'a> WrapFit<'a> {
                 self.solver = FitSolver::new(mesh, self.task, level < SURFACE_FROM, exec)?;
             }
             let within = self.diagonal * between(FARTHEST, along);
-            let reach = Reach {
+            let reach = FacingLimits {
                 within,
                 turn: within * between(TURNS, along),
             };
@@ -176,7 +176,7 @@ impl<'a> WrapFit<'a> {
     }
 
     /// Where the target is closest to each vertex and faces the same way.
-    fn closest_points(&mut self, reach: Reach, exec: &Exec<'_>) -> Result<Vec<Wanted>, Error> {
+    fn closest_points(&mut self, reach: FacingLimits, exec: &Exec<'_>) -> Result<Vec<Wanted>, Error> {
         let normals = smooth_normals(&self.now, &self.task.template.triangles);
         let facing = FacingTree::new(&self.tree, &self.target.normals);
         let find = |vertex: usize| {
@@ -199,7 +199,12 @@ impl<'a> WrapFit<'a> {
         Ok(wanted.collect())
     }
 
-    fn add_pulls_from_target(&mut self, wanted: &mut [Wanted], reach: Reach, exec: &Exec<'_>) -> Result<(), Error> {
+    fn add_pulls_from_target(
+        &mut self,
+        wanted: &mut [Wanted],
+        reach: FacingLimits,
+        exec: &Exec<'_>,
+    ) -> Result<(), Error> {
         let near = &mut self.near_target;
         let pulls = pulls_from_target(self.target, &self.now, &self.triangles, reach, near, exec)?;
         for (vertex, pull) in pulls.into_iter().filter(|(v, _)| self.pulled[*v as usize]) {

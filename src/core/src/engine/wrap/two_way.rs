@@ -1,7 +1,7 @@
 //! Pulls from the target: what of it nothing of the template is near pulls the template's nearest vertices. Closest points alone never
 //! find a hump that the template has not.
 
-use super::facing::{FacingTree, Oriented, Reach};
+use super::facing::{FacingLimits, FacingTree, Oriented};
 use super::normals::smooth_normals;
 use super::queries::answers;
 use super::target::TargetSurface;
@@ -22,7 +22,7 @@ pub(super) fn pulls_from_target(
     target: &TargetSurface,
     now: &[DVec3],
     triangles: &[[u32; 3]],
-    reach: Reach,
+    reach: FacingLimits,
     near: &mut [Option<u32>],
     exec: &Exec<'_>,
 ) -> Result<Vec<(u32, DVec3)>, Error> {
