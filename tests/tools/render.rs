@@ -153,7 +153,13 @@ fn chosen_primitives_are_seen_alone_and_fill_the_picture() {
     assert!(hull != body, "the hull lies around the body");
     assert_eq!(picture("--primitive 3"), hull, "by its number as well");
     let every = "--primitive body --primitive lod1 --primitive lod2 --primitive hull";
-    assert_eq!(picture(every), all);
+    assert!(
+        picture(every) != body,
+        "the levels of detail and the hull are drawn where they are named"
+    );
+    assert_eq!(all, body, "and not otherwise");
+    let ran = render(&folder, "figure.glb -o all.png --view 0,0").exits(0);
+    ran.gives(&["hulls are not drawn, there are lod1, lod2, hull; --primitive draws what it names"]);
     let ran = render(&folder, "figure.glb -o p.png --primitive hat").exits(2);
     ran.gives(&[r#"--primitive hat: no primitive is named so; there are 0 "body", 1 "lod1""#]);
     // Two squares far apart: alone, one of them fills what both share.

@@ -32,6 +32,7 @@ mod look;
 mod model;
 mod model_scene;
 mod moving_scene;
+mod names;
 mod neutral;
 pub mod sample;
 pub mod shapes;
@@ -56,6 +57,7 @@ pub use moving_scene::{
     JointInfluences, MorphClip, MovingScene, NodeKeys, NodePlace, PlayedCorrectives, PlayedJoint, PrimitiveShapes,
     SceneChannel, SceneClip, SceneNode, ScenePrimitive, SkinnedClip,
 };
+pub use names::{is_hidden, name_words};
 pub use usd::{UsdClip, UsdModel};
 pub use vertex_attributes::{VertexAttributes, agrees_with_facet, facet_normal, normal_key};
 pub use write::{line_segments, missing_companions, write_edited_model, write_edited_model_following};

@@ -1,6 +1,6 @@
 //! Models that are drawn, with what texts call them.
 
-use crate::asset::{Model, Primitive};
+use crate::asset::{Model, Primitive, is_hidden};
 use crate::cli::drawing::{DrawnShape, NormalChoice};
 use crate::cli::input_files::{in_file, open_model};
 use crate::cli::terminal::{CliFailure, listed, say};
@@ -31,13 +31,27 @@ impl<'a> ModelToDraw<'a> {
         Ok(())
     }
 
-    /// Leaves out all primitives but those that are named.
+    /// Leaves out all primitives but those that are named; where none is, those that are not for the eye, if there are others.
     pub(super) fn keep_primitives(&mut self, names: &[String]) -> Result<(), CliFailure> {
-        if names.is_empty() {
-            return Ok(());
-        }
-        let refuse = |e: CliFailure| e.in_place(self.path.display());
-        let chosen = choose_primitives(&self.model.primitives, names).map_err(refuse)?;
+        let primitives = &self.model.primitives;
+        let chosen = if names.is_empty() {
+            let is_shown = |k: &usize| !is_hidden(&primitives[*k].name);
+            let shown: Vec<usize> = (0..primitives.len()).filter(is_shown).collect();
+            if shown.is_empty() || shown.len() == primitives.len() {
+                return Ok(());
+            }
+            let hidden: Vec<&str> = (primitives.iter().map(|p| p.name.as_str()))
+                .filter(|name| is_hidden(name))
+                .collect();
+            say!(
+                "{}: coarser levels of detail and hulls are not drawn, {}; --primitive draws what it names",
+                self.path.display(),
+                listed(hidden.iter(), ", which pliant inspect --json lists")
+            );
+            shown
+        } else {
+            choose_primitives(primitives, names).map_err(|e| e.in_place(self.path.display()))?
+        };
         let mut kept = vec![false; self.model.triangles.len()];
         let mut first = 0;
         for (k, (_, run)) in self.model.triangles_of_primitives().enumerate() {

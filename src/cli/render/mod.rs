@@ -37,7 +37,8 @@ pub struct RenderArgs {
     /// Earlier state of the models, drawn beside them by the same camera
     #[arg(long, value_name = "REST", alias = "rest")]
     before: Option<PathBuf>,
-    /// Draw only this primitive, by name or by its number in `pliant inspect`; repeatable
+    /// Draw only this primitive, by name or by its number in `pliant inspect`; repeatable. Without, coarser levels of detail and hulls
+    /// for collisions, by their names, are left out
     #[arg(long, value_name = "NAME", conflicts_with = "rig")]
     primitive: Vec<String>,
     /// Meaning of the colours [default: distortion with --before if the vertices match, else material if the model has base

@@ -1,8 +1,8 @@
 //! Pictures that an agent sees: a shape from several sides, with regions in colours.
 
-use crate::words::{VertexSet, name_words};
+use crate::words::VertexSet;
 use glam::{DMat3, DVec3, Vec3};
-use pliant_asset::Geometry;
+use pliant_asset::{Geometry, is_hidden};
 use pliant_core::engine::{Deformer, Error};
 use pliant_exec::Exec;
 use pliant_render::{
@@ -86,14 +86,6 @@ pub(crate) struct PictureOrder {
     pub views: Vec<View>,
     /// Pixels of a tile.
     pub size: [u32; 2],
-}
-
-/// Whether a mesh is for programs and not for the eye, by its name: a coarser level of detail, or a hull for collisions.
-pub(crate) fn is_hidden(name: &str) -> bool {
-    let words = name_words(name);
-    let is_hull = |word: &String| matches!(word.as_str(), "hull" | "collision" | "collider" | "ucx" | "ubx" | "usp");
-    let is_level = |pair: &[String]| pair[0] == "lod" && pair[1].parse::<u32>().is_ok_and(|level| level > 0);
-    words.iter().any(is_hull) || words.windows(2).any(is_level)
 }
 
 /// The triangles that are drawn: one that is hidden has one corner three times. Where everything is hidden, nothing is.

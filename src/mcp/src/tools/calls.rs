@@ -4,8 +4,9 @@ use super::arguments::{CloseArguments, LookArguments, RegionArguments, SessionsA
 use super::scene::{Scene, SessionCaller};
 use crate::answer::{ToolAnswer, place, short};
 use crate::kept::{MOST_NAMES, NamedRegion};
-use crate::picture::{PictureOrder, draw, is_hidden};
+use crate::picture::{PictureOrder, draw};
 use crate::words::{VertexSet, plain_words};
+use pliant_asset::is_hidden;
 use pliant_core::engine::Error as EngineError;
 use pliant_core::mesh::BoundingBox;
 use pliant_session::Error;

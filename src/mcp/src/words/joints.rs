@@ -368,22 +368,9 @@ fn singular(word: &str) -> String {
     }
 }
 
-/// The words of a name in a file: parted at capitals, digits and marks, in small letters, with sides written out.
+/// The words of a name in a file, one for several of a kind, with sides written out.
 pub(crate) fn name_words(name: &str) -> Vec<String> {
-    let mut words: Vec<String> = Vec::new();
-    let mut last = ' ';
-    for c in name.chars() {
-        let begins = !last.is_alphanumeric()
-            || c.is_uppercase() && last.is_lowercase()
-            || c.is_ascii_digit() != last.is_ascii_digit();
-        if c.is_alphanumeric() {
-            match words.last_mut() {
-                Some(word) if !begins => word.extend(c.to_lowercase()),
-                _ => words.push(c.to_lowercase().collect()),
-            }
-        }
-        last = c;
-    }
+    let mut words = pliant_asset::name_words(name);
     for word in &mut words {
         match word.as_str() {
             "l" | "lft" | "lf" => *word = "left".to_owned(),

@@ -9,6 +9,6 @@ mod tips;
 mod vertex_set;
 
 pub(crate) use figure::RestFigure;
-pub(crate) use joints::{Joints, name_words};
+pub(crate) use joints::Joints;
 pub(crate) use resolve::{Found, Resolver, plain_words};
 pub(crate) use vertex_set::VertexSet;
