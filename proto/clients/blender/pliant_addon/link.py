@@ -158,8 +158,10 @@ def _alive(link: Link) -> bool:
 
 
 def options(object: bpy.types.Object) -> dict[str, Any]:
-    """How a final result is solved."""
-    return {"tolerance": object.pliant.tolerance, "refine": object.pliant.refine}
+    """How a final result is solved. Only where no number of re-fits is given does the server look for folds."""
+    settings = object.pliant
+    refine = {} if settings.refine < 0 else {"refine": settings.refine}
+    return {"tolerance": settings.tolerance, **refine}
 
 
 def words(error: Exception) -> str:

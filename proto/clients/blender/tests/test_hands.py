@@ -130,6 +130,8 @@ def test_several_meshes_are_dragged_kept_and_given_back_together(
 ) -> None:
     for object in pair:
         bpy.context.view_layer.objects.active = object
+        # Their matrices differ by what is rounded; at the default tolerance so may the number of cycles.
+        object.pliant.tolerance = 1e-8
         control = held(object)
         move(object, control, 0.5)
     operator = Operator(*pair)
