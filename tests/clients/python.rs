@@ -1,5 +1,5 @@
 //! Clients as their authors write them, against the real server: the tours of README.md and `deploy/docs` with curl and
-//! Python, a pipeline script that checks every answer, and the tests of the Python package.
+//! Python, a pipeline script that checks every answer, and the tests of the Python package and of the Blender add-on.
 //!
 //! The Python packages go into `target/clients` by the commands that `deploy/docs/other-languages.md` shows. What this machine lacks (bash, curl,
 //! python3, a network to fetch packages) is said and skipped; everything else must hold.
@@ -195,17 +195,38 @@ fn a_pipeline_script_over_grpc() {
 fn the_python_package_passes_its_own_tests() {
     // What drives the browser for its notebook widget; the package's tests say what they skip without it.
     let _ = crate::node::install("tests/clients/viewer");
+    let Some(said) = run_own_tests("proto/clients/python") else {
+        return;
+    };
+    let armadillo = data_root().join("meshes/armadillo.obj").is_file();
+    let skipped = said.contains("there is no folder of test models") || said.contains("armadillo.obj");
+    assert!(
+        !armadillo || !skipped,
+        "the armadillo is there and was not bent:\n{said}"
+    );
+}
+
+/// Solves, drags, key frames and armatures in Blender without a window, beside the command line; the packed extension is installed.
+#[test]
+#[ignore = "fetches Blender once; .ci/run runs it"]
+fn the_blender_add_on_passes_its_own_tests() {
+    run_own_tests("proto/clients/blender");
+}
+
+/// Runs `run-tests` of a client with the program of this build; returns what it said, or `None` where nothing could run.
+fn run_own_tests(folder: &str) -> Option<String> {
     let mut tests = Command::new("sh");
     tests
-        .arg(root().join("proto/clients/python/run-tests"))
+        .arg(root().join(folder).join("run-tests"))
         .env("PLIANT_BIN", env!("CARGO_BIN_EXE_pliant"))
         .env_remove("PLIANT_SERVER");
     let done = tests.output().expect("sh runs");
     let said = said(&done);
     // Seen also when the test passes: what was skipped, and why.
-    let show = |text: &str| crate::support::process::show(&format!("proto/clients/python: {text}"));
+    let show = |text: &str| crate::support::process::show(&format!("{folder}: {text}"));
     if done.status.code() == Some(77) {
-        return show(said.trim());
+        show(said.trim());
+        return None;
     }
     assert!(done.status.success(), "{said}");
     for line in said
@@ -214,10 +235,5 @@ fn the_python_package_passes_its_own_tests() {
     {
         show(line);
     }
-    let armadillo = data_root().join("meshes/armadillo.obj").is_file();
-    let skipped = said.contains("there is no folder of test models") || said.contains("armadillo.obj");
-    assert!(
-        !armadillo || !skipped,
-        "the armadillo is there and was not bent:\n{said}"
-    );
+    Some(said)
 }

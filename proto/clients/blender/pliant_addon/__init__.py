@@ -11,16 +11,6 @@ import bpy
 
 from . import animate, bake, drag, handles, link, operators, panel, preferences
 
-bl_info = {
-    "name": "Pliant",
-    "description": "Bends large meshes by vertex groups into shape keys, and by armatures into point caches",
-    "author": "The pliant authors",
-    "version": (0, 1, 0),
-    "blender": (4, 2, 0),
-    "location": "3D View > Sidebar > Pliant",
-    "category": "Mesh",
-}
-
 _MODULES = (preferences, handles, operators, drag, bake, animate, panel)
 
 

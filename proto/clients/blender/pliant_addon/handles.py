@@ -55,7 +55,11 @@ class PliantSettings(bpy.types.PropertyGroup):
         name="Tolerance", description="Relative residual to reach", default=1e-4, min=1e-12, max=1.0, precision=8
     )
     refine: bpy.props.IntProperty(
-        name="Refine", description="Rotation re-fits of a final result; 0 is the quickest", default=4, min=0, max=100
+        name="Refine",
+        description="Rotation re-fits of a final result; -1: 4, and more around folds; 0 is the quickest",
+        default=-1,
+        min=-1,
+        max=100,
     )
     result: bpy.props.StringProperty(
         name="Result",

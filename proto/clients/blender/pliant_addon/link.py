@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import filecmp
 import os
 import shutil
 import sys
@@ -17,10 +18,6 @@ from . import handles, mesh, preferences
 #: The program that extensions for Linux bring.
 _CARRIED = Path(__file__).parent / "bin/pliant"
 _NAME_ONE = "write its address into the add-on's preferences, under Server"
-# A copy of the Python package inside the add-on's folder is found as well.
-_VENDOR = Path(__file__).parent / "vendor"
-if _VENDOR.is_dir() and str(_VENDOR) not in sys.path:
-    sys.path.append(str(_VENDOR))
 
 try:
     import pliant
@@ -126,10 +123,20 @@ def _program(named: str) -> str:
     """The program to start: the one that is named, else the one that came with the add-on; empty looks in PATH."""
     if named or os.environ.get("PLIANT_BIN") or not _CARRIED.is_file():
         return named
-    if not os.access(_CARRIED, os.X_OK):
-        # Archives are unpacked without their files' rights.
-        _CARRIED.chmod(0o755)
-    return str(_CARRIED)
+    if os.access(_CARRIED, os.X_OK):
+        return str(_CARRIED)
+    # Blender unpacks it without the right to run, and what it has unpacked is not for extensions to change.
+    folder = bpy.utils.extension_path_user(__package__, path="bin", create=True)
+    if not folder:
+        raise mesh.Refusal(f"no folder for the program can be made beside Blender's settings: {_NAME_ONE}")
+    program = Path(folder, "pliant")
+    if not program.is_file() or not filecmp.cmp(_CARRIED, program):
+        fresh = program.with_name(f"pliant-{os.getpid()}")
+        shutil.copy2(_CARRIED, fresh)
+        fresh.chmod(0o755)
+        # At once, so that another Blender runs the one or the other.
+        fresh.replace(program)
+    return str(program)
 
 
 def _connect(server: str, token: str, program: str) -> Any:
@@ -158,8 +165,10 @@ def _alive(link: Link) -> bool:
 
 
 def options(object: bpy.types.Object) -> dict[str, Any]:
-    """How a final result is solved."""
-    return {"tolerance": object.pliant.tolerance, "refine": object.pliant.refine}
+    """How a final result is solved. Only where no number of re-fits is given does the server look for folds."""
+    settings = object.pliant
+    refine = {} if settings.refine < 0 else {"refine": settings.refine}
+    return {"tolerance": settings.tolerance, **refine}
 
 
 def words(error: Exception) -> str:

@@ -79,7 +79,9 @@ def command_line(object: bpy.types.Object, angle: float, by: list[float], folder
     lines += ["f " + " ".join(str(corner + 1) for corner in face) for face in faces]
     (folder / "bar.obj").write_text("\n".join(lines) + "\n")
     group = lambda name: np.flatnonzero(mesh.group_weights(object, name) > 0).tolist()
-    pose = {"rotationVector": [0, angle, 0], "translation": by}
+    # Controls stand in the middle of their group, and turn about themselves.
+    middle = mesh.rest(object)[group("top")].mean(axis=0).tolist()
+    pose = {"rotationVector": [0, angle, 0], "translation": by, "pivot": middle}
     job = {
         "handles": [{"id": name, "region": {"vertices": {"indices": group(name)}}} for name in ("base", "top")],
         "steps": [{"pose": {"handles": [{"id": "top", "pose": pose}]}}],
@@ -113,6 +115,21 @@ def test_a_solve_makes_a_shape_key_that_matches_the_command_line(bar: bpy.types.
     flat = np.empty(3 * len(shown.vertices), np.float32)
     shown.vertices.foreach_get("co", flat)
     assert farthest(flat.reshape(-1, 3), wanted) < 1e-5, "the viewport shows it"
+
+
+def test_folds_are_looked_for_unless_refine_is_given(bar: bpy.types.Object, tmp_path: Path) -> None:
+    bar.pliant.tolerance = 1e-8
+    control = held(bar)
+    move(bar, control, 2.9)
+    wanted = command_line(bar, 2.9, [0, 0, 0], tmp_path)
+
+    def solved() -> np.ndarray:
+        assert bpy.ops.pliant.solve() == {"FINISHED"}
+        return mesh.shape(bar.data.shape_keys.key_blocks["Pliant"])
+
+    assert farthest(solved(), wanted) < 1e-5 and " 0 flipped" in bar.pliant.told
+    bar.pliant.refine = 4
+    assert farthest(solved(), wanted) > 0.1 and " 0 flipped" not in bar.pliant.told
 
 
 def test_dragging_follows_the_control_and_ends_exact(bar: bpy.types.Object, tmp_path: Path) -> None:

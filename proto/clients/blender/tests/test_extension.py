@@ -63,12 +63,21 @@ def test_blender_accepts_the_archive(archive: Path) -> None:
 def test_it_bends_a_bar_with_the_program_that_it_brought(archive: Path, tmp_path: Path) -> None:
     home = tmp_path / "home"
     home.mkdir()
-    told = 'print("TOLD", __import__("json").dumps([link._CARRIED.is_file(), bar.pliant.told]))'
+    told = """
+import json
+import os
+
+rights = [os.access(program, os.X_OK) for program in (link._CARRIED, link._program(""))]
+print("TOLD", json.dumps([link._program(""), rights, bar.pliant.told]))
+"""
     script = tmp_path / "install.py"
     script.write_text(f"{INSTALL}\n{SCRIPT}\n{told}\n")
     env = {"PATH": "/usr/bin:/bin", "BLENDER_USER_RESOURCES": str(home), "HOME": str(home)}
     command = [sys.executable, str(script), str(archive), str(home)]
     done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
-    carried, words = json.loads(done.stdout.split("TOLD ")[1].splitlines()[0])
-    assert carried and "error at most" in words
+    program, rights, words = json.loads(done.stdout.split("TOLD ")[1].splitlines()[0])
+    assert Path(program) == home / "extensions/.user/user_default/pliant_addon/bin/pliant"
+    assert rights == [False, True], "the extension's own folder stays as Blender has unpacked it"
+    assert [file.name for file in Path(program).parent.iterdir()] == ["pliant"]
+    assert "error at most" in words

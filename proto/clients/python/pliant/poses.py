@@ -58,7 +58,8 @@ class Pose:
     def from_matrix(model_from_rest: npt.ArrayLike) -> Pose:
         """The pose that a 4 by 4 matrix (column vectors, translation in the last column) describes.
 
-        Raises ValueError when the matrix shears, mirrors or projects: a pose cannot do that.
+        Scales within 1e-6 of 1 are 1, as the products of 32-bit matrices of mere turns are: a handle that is scaled, however little,
+        has the server not keep the volume. Raises ValueError when the matrix shears, mirrors or projects: a pose cannot do that.
         """
         matrix = array("a pose's matrix", model_from_rest).astype(np.float64)
         if matrix.shape != (4, 4):
@@ -74,6 +75,7 @@ class Pose:
             raise ValueError("the matrix shears; a pose scales along x, y and z, then turns, then moves")
         if np.linalg.det(turn) < 0:
             raise ValueError("the matrix mirrors; scales above 0 are allowed")
+        scale = np.where(np.abs(scale - 1) <= 1e-6, 1.0, scale)
         return Pose(translation=matrix[:3, 3], rotation=quaternion_of(turn), scale=scale, pivot=(0.0, 0.0, 0.0))
 
 

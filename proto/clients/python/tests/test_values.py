@@ -44,6 +44,18 @@ def test_a_matrix_becomes_the_pose_that_moves_points_alike(axis: list[float], an
     assert np.allclose(pose.scale, scale) and list(pose.translation) == [1, -2, 3] and list(pose.pivot) == [0, 0, 0]
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_products_of_turns_in_single_precision_scale_nothing(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    turns = [rotation(random.normal(size=3), random.uniform(-3, 3)).astype(np.float32) for _ in range(4)]
+    matrix = np.eye(4)
+    matrix[:3, :3] = turns[0] @ turns[1] @ turns[2] @ turns[3]
+    rounded = np.linalg.norm(matrix[:3, :3], axis=0)
+    assert np.any(rounded != 1) and list(to_message(matrix).scale) == [1, 1, 1]
+    matrix[:3, 1] *= 1.00001
+    assert list(to_message(matrix).scale) == [1, pytest.approx(1.00001, abs=1e-6), 1]
+
+
 @pytest.mark.parametrize(
     ("damage", "words"),
     [
