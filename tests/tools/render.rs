@@ -159,7 +159,7 @@ fn chosen_primitives_are_seen_alone_and_fill_the_picture() {
     );
     assert_eq!(all, body, "and not otherwise");
     let ran = render(&folder, "figure.glb -o all.png --view 0,0").exits(0);
-    ran.gives(&["hulls are not drawn, there are lod1, lod2, hull; --primitive draws what it names"]);
+    ran.says(&["hulls are not drawn, there are lod1, lod2, hull; --primitive draws what it names"]);
     let ran = render(&folder, "figure.glb -o p.png --primitive hat").exits(2);
     ran.gives(&[r#"--primitive hat: no primitive is named so; there are 0 "body", 1 "lod1""#]);
     // Two squares far apart: alone, one of them fills what both share.
