@@ -185,9 +185,12 @@ fn a_thin_limb_that_lies_near_one_side_of_a_thick_one_becomes_it_all_round() {
         ..wrap_of(file_of(&limb(0.3, 0.0)))
     };
     let outcome = wrapped(&mut deformer, command, &exec).expect("wrapped");
-    let told = outcome.report.wrap.expect("a report");
-    assert!(told.to_target.p95 < 2e-3 && told.from_target.p95 < 3e-3, "{told:?}");
-    assert_eq!(told.flipped_triangles, 0);
+    let report = outcome.report.wrap.expect("it says how it lies");
+    assert!(
+        report.to_target.p95 < 2e-3 && report.from_target.p95 < 3e-3,
+        "{report:?}"
+    );
+    assert_eq!(report.flipped_triangles, 0);
 }
 
 #[test]

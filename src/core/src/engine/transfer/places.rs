@@ -1,28 +1,20 @@
 //! Where points are on a surface: each on a triangle, with the weights of its corners.
 
 use crate::engine::error::Error;
-use crate::engine::wrap::{answers, barycentric};
+use crate::engine::wrap::{LEAST_COSINE, OrientedPoint, answers, barycentric};
 use crate::exec::Exec;
 use crate::mesh::BoundingBox;
 use crate::mesh::query::TriangleBvh;
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Of the closest triangle whose normal is less than 70° from that of the point.
-const LEAST_COSINE: f64 = 0.34;
-/// That one counts up to so many times as far away as the closest of all, and this share of the diagonal.
+/// The closest triangle that faces as the point does counts up to so many times as far away as the closest of all, and this share of
+/// the diagonal.
 const FARTHER: f64 = 4.0;
 const FARTHER_BY: f64 = 0.01;
 
 /// A place on a surface: vertices with weights.
 pub(super) type SurfacePlace = [(u32, f64); 3];
-
-/// A point with the normal of the surface that it is of; zero where it is of none.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct OrientedPoint {
-    pub point: DVec3,
-    pub normal: DVec3,
-}
 
 /// Where points are closest to a surface, on a side that faces the same way where there is one: so the lips of a mouth that is
 /// closed follow each their own.

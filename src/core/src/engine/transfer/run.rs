@@ -1,7 +1,7 @@
 //! A transfer from its first step to its last.
 
 use super::command::{ShapeFacts, TransferCommand, TransferReport, Transferred};
-use super::places::{OrientedPoint, SurfacePlace, places_on};
+use super::places::{SurfacePlace, places_on};
 use crate::asset::{self, BlendShape, BlendShapes, Format, Model, Splats, WrittenFiles, WrittenWarning};
 use crate::deform::{CarriedMotion, FaceSurroundings, SurfaceTransfer, unfold_vertices};
 use crate::engine::Deformer;
@@ -9,7 +9,9 @@ use crate::engine::derived_structures::admit_bytes;
 use crate::engine::error::Error;
 use crate::engine::other_model::OtherModel;
 use crate::engine::quality::measure_quality;
-use crate::engine::wrap::{LandmarkSurfaces, WRAPPED_BYTES, WrapLandmark, WrapReport, WrapTask, turn_outwards, wrap};
+use crate::engine::wrap::{
+    LandmarkSurfaces, OrientedPoint, WRAPPED_BYTES, WrapLandmark, WrapReport, WrapTask, turn_outwards, wrap,
+};
 use crate::exec::Exec;
 use crate::mesh::shading::smooth_normals;
 use crate::mesh::{Mesh, NONE, Weld};

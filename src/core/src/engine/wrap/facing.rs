@@ -8,7 +8,7 @@ use glam::DVec3;
 use std::ops::Range;
 
 /// Places count whose normals are less than 70° apart.
-const LEAST_COSINE: f64 = 0.34;
+pub(in crate::engine) const LEAST_COSINE: f64 = 0.34;
 /// The square of the difference of two such normals, of which the second may be shorter than 1.
 const MOST_APART: f64 = 2.0 - 2.0 * LEAST_COSINE;
 
@@ -21,9 +21,9 @@ pub(super) struct FacingLimits {
     pub turn: f64,
 }
 
-/// A point and the way it faces, of unit length.
+/// A point with the normal of the surface that it is of; zero where it is of none.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Oriented {
+pub(in crate::engine) struct OrientedPoint {
     pub point: DVec3,
     pub normal: DVec3,
 }
@@ -63,7 +63,7 @@ impl<'a> FacingTree<'a> {
     /// The place for which the squares of the distance and of the difference of normals have the least sum; of equal ones that of the
     /// smallest triangle. Of each triangle its closest point is looked at, with what lies between the normals of its corners. A triangle
     /// that is probably near, such as the answer of the step before, makes the search faster and does not change the answer.
-    pub fn closest(&self, asked: Oriented, reach: FacingLimits, near: Option<u32>) -> Option<FacingPlace> {
+    pub fn closest(&self, asked: OrientedPoint, reach: FacingLimits, near: Option<u32>) -> Option<FacingPlace> {
         let mut search = FacingSearch::new(self, asked, reach);
         let mut limit = reach.within * reach.within;
         if let Some(triangle) = near {
@@ -77,14 +77,14 @@ impl<'a> FacingTree<'a> {
 /// Looks for one place.
 struct FacingSearch<'a> {
     facing: &'a FacingTree<'a>,
-    asked: Oriented,
+    asked: OrientedPoint,
     turn_square: f64,
     /// The sum of squares, and the place.
     best: Option<(f64, FacingPlace)>,
 }
 
 impl<'a> FacingSearch<'a> {
-    fn new(facing: &'a FacingTree<'a>, asked: Oriented, reach: FacingLimits) -> Self {
+    fn new(facing: &'a FacingTree<'a>, asked: OrientedPoint, reach: FacingLimits) -> Self {
         Self {
             facing,
             asked,
@@ -96,7 +96,7 @@ impl<'a> FacingSearch<'a> {
     /// Looks at a triangle.
     fn see(&mut self, triangle: u32, limit: &mut f64) {
         let FacingTree { tree, normals, .. } = self.facing;
-        let Oriented { point, normal } = self.asked;
+        let OrientedPoint { point, normal } = self.asked;
         let corners = tree.triangles()[triangle as usize];
         let at = corners.map(|v| tree.positions()[v as usize]);
         let on = closest_point_on_triangle(point, at);
@@ -142,7 +142,7 @@ mod tests {
     use crate::pool::Pool;
 
     /// All triangles looked at, one after the other.
-    fn by_looking_at_all(facing: &FacingTree<'_>, asked: Oriented, reach: FacingLimits) -> Option<u32> {
+    fn by_looking_at_all(facing: &FacingTree<'_>, asked: OrientedPoint, reach: FacingLimits) -> Option<u32> {
         let mut search = FacingSearch::new(facing, asked, reach);
         for triangle in 0..facing.tree.triangles().len() {
             search.see(triangle as u32, &mut (reach.within * reach.within));
@@ -161,7 +161,7 @@ mod tests {
         let facing = FacingTree::new(&tree, &normals);
         let mut found = 0;
         for (k, normal) in round.iter().enumerate() {
-            let asked = Oriented {
+            let asked = OrientedPoint {
                 point: positions[(k * 97) % positions.len()] * 0.7,
                 normal: *normal,
             };

@@ -1,6 +1,6 @@
 //! The fit itself: targets that follow the closest points, pulled harder from level to level.
 
-use super::facing::{FacingLimits, FacingPlace, FacingTree, Oriented};
+use super::facing::{FacingLimits, FacingPlace, FacingTree, OrientedPoint};
 use super::normals::smooth_normals;
 use super::queries::answers;
 use super::target::TargetSurface;
@@ -184,7 +184,7 @@ impl<'a> WrapFit<'a> {
             if !self.pulled[vertex] || self.target.ends_at(&self.tree, point, reach.within) {
                 return None;
             }
-            facing.closest(Oriented { point, normal }, reach, self.near[vertex])
+            facing.closest(OrientedPoint { point, normal }, reach, self.near[vertex])
         };
         let found = answers(&self.tree, self.now.len(), exec, find)?;
         self.near = found.iter().map(|f| f.map(|f| f.triangle)).collect();

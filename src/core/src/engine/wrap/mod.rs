@@ -22,6 +22,7 @@ mod two_way;
 mod visible;
 
 pub use command::{LandmarkPlace, WrapCommand, WrapLandmark};
+pub(super) use facing::{LEAST_COSINE, OrientedPoint};
 pub(super) use queries::answers;
 pub(super) use report::edge_distortion;
 pub use report::{WrapDistances, WrapReport};

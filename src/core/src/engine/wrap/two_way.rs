@@ -1,7 +1,7 @@
 //! Pulls from the target: what of it nothing of the template is near pulls the template's nearest vertices. Closest points alone never
 //! find a hump that the template has not.
 
-use super::facing::{FacingLimits, FacingTree, Oriented};
+use super::facing::{FacingLimits, FacingTree, OrientedPoint};
 use super::normals::smooth_normals;
 use super::queries::answers;
 use super::target::TargetSurface;
@@ -34,7 +34,7 @@ pub(super) fn pulls_from_target(
         if normal == DVec3::ZERO || target.is_on_border(vertex) {
             return None;
         }
-        facing.closest(Oriented { point, normal }, reach, near[vertex])
+        facing.closest(OrientedPoint { point, normal }, reach, near[vertex])
     };
     let found = answers(&tree, target.mesh.positions.len(), exec, find)?;
     let mut pulls = Vec::new();
