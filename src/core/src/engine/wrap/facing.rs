@@ -30,7 +30,7 @@ pub(in crate::engine) struct OrientedPoint {
 
 /// A tree over a surface with normals.
 pub(super) struct FacingTree<'a> {
-    tree: &'a TriangleBvh<'a>,
+    pub tree: TriangleBvh<'a>,
     /// By vertex, of unit length, or zero where there is none.
     normals: &'a [DVec3],
     /// By node of the tree, the least and the greatest coordinates of the normals below it.
@@ -47,16 +47,16 @@ pub(super) struct FacingPlace {
 }
 
 impl<'a> FacingTree<'a> {
-    pub fn new(tree: &'a TriangleBvh<'a>, normals: &'a [DVec3]) -> Self {
+    pub fn new(tree: TriangleBvh<'a>, normals: &'a [DVec3]) -> Self {
         let join = |a: [DVec3; 2], b: [DVec3; 2]| [a[0].min(b[0]), a[1].max(b[1])];
         let of = |triangle: u32| {
             let [a, b, c] = tree.triangles()[triangle as usize].map(|v| [normals[v as usize]; 2]);
             join(a, join(b, c))
         };
         Self {
+            bounds: tree.fold_nodes(of, join),
             tree,
             normals,
-            bounds: tree.fold_nodes(of, join),
         }
     }
 
@@ -129,8 +129,8 @@ impl NearVisitor for FacingSearch<'_> {
     }
 
     fn see_leaf(&mut self, _leaf: usize, places: Range<usize>, limit: &mut f64) {
-        let tree = self.facing.tree;
-        places.for_each(|place| self.see(tree.triangle_order()[place], limit));
+        let facing = self.facing;
+        places.for_each(|place| self.see(facing.tree.triangle_order()[place], limit));
     }
 }
 
@@ -158,7 +158,7 @@ mod tests {
         let normals = smooth_normals(&positions, &triangles);
         let pool = Pool::new(1).expect("a thread");
         let tree = TriangleBvh::build(&positions, &triangles, &pool);
-        let facing = FacingTree::new(&tree, &normals);
+        let facing = FacingTree::new(tree, &normals);
         let mut found = 0;
         for (k, normal) in round.iter().enumerate() {
             let asked = OrientedPoint {

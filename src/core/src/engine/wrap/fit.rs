@@ -14,7 +14,6 @@ use crate::engine::error::Error;
 use crate::engine::target_vertices::{SHARES, shares_of_area};
 use crate::exec::Exec;
 use crate::mesh::Mesh;
-use crate::mesh::query::TriangleBvh;
 use crate::progress::Progress;
 use glam::DVec3;
 use std::sync::OnceLock;
@@ -70,7 +69,7 @@ impl Progress for WithinStep<'_> {
 pub(super) struct WrapFit<'a> {
     task: &'a WrapTask<'a>,
     target: &'a TargetSurface,
-    tree: TriangleBvh<'a>,
+    facing: FacingTree<'a>,
     /// By vertex, whether the target pulls it.
     pulled: &'a [bool],
     /// The triangles of which a corner is pulled.
@@ -104,7 +103,7 @@ impl<'a> WrapFit<'a> {
         Ok(Self {
             task,
             target,
-            tree: target.tree(exec),
+            facing: FacingTree::new(target.tree(exec), &target.normals),
             pulled,
             triangles,
             shares: shares_of_area(mesh),
@@ -178,15 +177,15 @@ impl<'a> WrapFit<'a> {
     /// Where the target is closest to each vertex and faces the same way.
     fn closest_points(&mut self, reach: FacingLimits, exec: &Exec<'_>) -> Result<Vec<Wanted>, Error> {
         let normals = smooth_normals(&self.now, &self.task.template.triangles);
-        let facing = FacingTree::new(&self.tree, &self.target.normals);
+        let facing = &self.facing;
         let find = |vertex: usize| {
             let (point, normal) = (self.ahead[vertex], normals[vertex]);
-            if !self.pulled[vertex] || self.target.ends_at(&self.tree, point, reach.within) {
+            if !self.pulled[vertex] || self.target.ends_at(&facing.tree, point, reach.within) {
                 return None;
             }
             facing.closest(OrientedPoint { point, normal }, reach, self.near[vertex])
         };
-        let found = answers(&self.tree, self.now.len(), exec, find)?;
+        let found = answers(&facing.tree, self.now.len(), exec, find)?;
         self.near = found.iter().map(|f| f.map(|f| f.triangle)).collect();
         let inner = |found: &FacingPlace| !self.target.has_border_at(found.triangle, found.point);
         let wanted = found.into_iter().map(|found| match found.filter(inner) {

@@ -27,8 +27,7 @@ pub(super) fn pulls_from_target(
     exec: &Exec<'_>,
 ) -> Result<Vec<(u32, DVec3)>, Error> {
     let normals = smooth_normals(now, triangles);
-    let tree = TriangleBvh::build(now, triangles, exec.pool);
-    let facing = FacingTree::new(&tree, &normals);
+    let facing = FacingTree::new(TriangleBvh::build(now, triangles, exec.pool), &normals);
     let find = |vertex: usize| {
         let (point, normal) = (target.mesh.positions[vertex], target.normals[vertex]);
         if normal == DVec3::ZERO || target.is_on_border(vertex) {
@@ -36,7 +35,7 @@ pub(super) fn pulls_from_target(
         }
         facing.closest(OrientedPoint { point, normal }, reach, near[vertex])
     };
-    let found = answers(&tree, target.mesh.positions.len(), exec, find)?;
+    let found = answers(&facing.tree, target.mesh.positions.len(), exec, find)?;
     let mut pulls = Vec::new();
     for ((near, found), &from) in near.iter_mut().zip(found).zip(&target.mesh.positions) {
         *near = found.map(|f| f.triangle);
