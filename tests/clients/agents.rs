@@ -186,6 +186,12 @@ fn what_is_wrong_is_said_and_the_program_goes_on() {
         .call("region", json!({"session": session, "words": "carburettor"}))
         .to_string();
     assert!(said.contains("top quarter") && said.contains("tip 1"), "{said}");
+    let no_body = "no body was found that stands along y and faces x";
+    assert!(!said.contains(no_body), "{said}");
+    let said = agent
+        .call("region", json!({"session": session, "words": "left elbow"}))
+        .to_string();
+    assert!(said.contains(no_body), "{said}");
     assert!(!outer.path().join("a.glb").exists());
 
     let unknown = agent.request("tools/call", json!({"name": "explode", "arguments": {}}));

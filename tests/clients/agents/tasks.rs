@@ -1,4 +1,4 @@
-//! Thirty short tasks as a person would write them, each done by a few calls of tools and checked by what has become of the model.
+//! Some thirty short tasks as a person would write them, each done by a few calls of tools and checked by what has become of the model.
 
 use super::talk::{Agent, facts};
 use crate::support::data::{data_root, report_skipped};
@@ -77,6 +77,28 @@ fn tasks() -> Vec<Task> {
                 Goes("left hand", Y, 0.15),
                 Stays("feet", 1e-6),
                 Stays("right hand", 0.05),
+            ],
+        ),
+        // What is not named stays, though nothing is said of it.
+        task(
+            "raise the left arm, keep the rest",
+            figure,
+            vec![pose(json!([{"region": "left arm", "aim": "up"}]), Value::Null)],
+            vec![
+                Goes("left hand", Y, 0.15),
+                Stays("right hand", 0.01),
+                Stays("head", 0.01),
+                Stays("left leg", 0.01),
+            ],
+        ),
+        task(
+            "raise the left leg, keep the rest",
+            figure,
+            vec![pose(json!([{"region": "left leg", "aim": "front"}]), Value::Null)],
+            vec![
+                Goes("left foot", Z, 0.2),
+                Stays("right knee", 0.01),
+                Stays("chest", 0.02),
             ],
         ),
         task(

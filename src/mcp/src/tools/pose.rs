@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 const EVERYTHING_ELSE: &str = "everything else";
 /// How wide the free band is, in diagonals of the model: between named regions, and around what moves.
 const BAND: f64 = 0.05;
-const WIDE_BAND: f64 = 0.25;
+const WIDE_BAND: f64 = 0.1;
 /// The share of a region that is held, however wide the band.
 const KEPT: f64 = 0.34;
 /// Factors of a scale.

@@ -230,6 +230,16 @@ impl Joints {
         (names + 2 * self.holder.len()) as u64
     }
 
+    /// Whether words name a part that bodies have.
+    pub fn is_body_part(words: &[&str]) -> bool {
+        let limbs = LIMBS.iter().flat_map(|limb| limb.0);
+        let mut names = limbs.chain(TRUNK.iter().flat_map(|part| part.0));
+        names.any(|name| {
+            name.split(' ')
+                .all(|own| words.iter().any(|w| singular(w) == own || *w == own))
+        })
+    }
+
     /// What can be asked for, for a sentence.
     pub fn words(&self) -> Vec<String> {
         let mut words: Vec<String> = Vec::new();

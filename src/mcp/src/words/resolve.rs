@@ -372,7 +372,17 @@ impl<'a> Resolver<'a> {
     /// The error that lists what can be asked for.
     fn unknown(&self, text: &str, field: &str) -> Result<Error, Error> {
         let shown: String = text.chars().take(80).collect();
-        let problem = format!("\"{shown}\" is nothing of this model; {}", self.what_there_is()?);
+        let mut problem = format!("\"{shown}\" is nothing of this model; {}", self.what_there_is()?);
+        let words = plain_words(text);
+        let words: Vec<&str> = words.iter().map(String::as_str).collect();
+        let has_body = (self.joints()?).is_some_and(|joints| !joints.words().is_empty());
+        if !has_body && Joints::is_body_part(&words) {
+            let axes = self.figure.axes;
+            let (up, front) = (axes.up.name(), axes.front.name());
+            problem += &format!(
+                "; no body was found that stands along {up} and faces {front}: if it is one, `open` it with its \"up\" and \"front\""
+            );
+        }
         Ok(Error::invalid(field, problem))
     }
 

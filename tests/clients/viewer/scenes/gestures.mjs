@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { Sheet } from "../browser.mjs";
-import { dragGrip, shows } from "./hold.mjs";
+import { dragGrip, shows, takeGrip } from "./hold.mjs";
 import { openSample } from "./sample.mjs";
 
 export const title = "a closed lasso selects; undo follows the hand and says so; Escape gives up; buttons mean the same with every tool";
@@ -107,11 +107,8 @@ async function escapeGivesUp(sheet, server) {
   await dragGrip(sheet, before, [{ x: 20, y: 10 }]);
   const shape = await server.floats("GET", `/v1/sessions/${session}/positions`);
   await shows(sheet, shape);
-  const [, head] = await sheet.ask("handles");
   const commits = await history();
-
-  await mouse.move(head.at.x, head.at.y);
-  await mouse.down();
+  const head = await takeGrip(sheet);
   for (let k = 1; k <= 10; k++) await mouse.move(head.at.x + 6 * k, head.at.y - 4 * k);
   await sheet.page.waitForFunction((was) => JSON.stringify(window.pliantViewer.handles()[1].pose) !== was, JSON.stringify(head.pose));
   await sheet.key("Escape");

@@ -25,6 +25,25 @@ export async function holdBothEnds(sheet, share = 0.2) {
   return handles[1];
 }
 
+/**
+ * Presses the mouse on the gizmo of the model's second handle; answers that handle. A page that paints slowly has the gizmo there only
+ * after its next picture, so the mouse goes there until the gizmo has it.
+ */
+export async function takeGrip(sheet) {
+  const { mouse } = sheet.page;
+  for (let attempt = 0; attempt < 1000; attempt++) {
+    const [, grip] = await sheet.ask("handles");
+    await mouse.move(grip.at.x - 40, grip.at.y - 40);
+    await mouse.move(grip.at.x, grip.at.y);
+    await new Promise((resolve) => setTimeout(resolve, 50));
+    if ((await sheet.ask("state")).gizmoPart !== null) {
+      await mouse.down();
+      return grip;
+    }
+  }
+  throw new Error("the gizmo is not where its handle is");
+}
+
 /** Takes the gizmo's centre and leads it along; answers the state after the release was recorded. */
 export async function dragGrip(sheet, grip, by, { steps = 30, pause = 16 } = {}) {
   const { revision } = await sheet.ask("state");

@@ -7,7 +7,7 @@ import { join } from "node:path";
 import { Sheet } from "../browser.mjs";
 import { serve } from "../proxy.mjs";
 import { Server } from "../server.mjs";
-import { shows } from "./hold.mjs";
+import { shows, takeGrip } from "./hold.mjs";
 import { openSample } from "./sample.mjs";
 
 export const title = "a server that keeps its sessions is stopped, and killed, in mid-drag and started again";
@@ -30,10 +30,8 @@ export async function play({ browser, folder, log }) {
       [1, () => server.stop()],
       [2, () => server.kill()],
     ]) {
-      const [, head] = await sheet.ask("handles");
       const { revision } = await sheet.ask("state");
-      await mouse.move(head.at.x, head.at.y);
-      await mouse.down();
+      const head = await takeGrip(sheet);
       const down = rounds === 1 ? 1 : -1;
       for (let k = 1; k <= 10; k++) await mouse.move(head.at.x + 4 * k, head.at.y + 3 * k * down);
       const ended = await end();
