@@ -1,6 +1,6 @@
 //! `pliant audit`: prints the audit trail in a server's store.
 
-use super::terminal::{CliFailure, block_on};
+use super::terminal::{CliFailure, block_on, printed};
 use crate::server::config::{ConfigKeys, KeyValue, stored_in};
 use crate::session::StoredAuditEntry;
 use crate::session::store::{AuditFilter, StoreError, StoreLocation, read_audit};
@@ -80,24 +80,18 @@ pub(super) fn run_audit(args: &AuditArgs) -> Result<(), CliFailure> {
         since_ms: since.map_or(0, |since| u64::try_from(since.as_millis()).unwrap_or(u64::MAX)),
     };
     let mut out = BufWriter::new(std::io::stdout().lock());
-    let mut failed = None;
+    let mut written = Ok(());
     let location = args.location()?;
     let read = read_audit(&location, &filter, |entry| {
         let time = UNIX_EPOCH
             .checked_add(Duration::from_millis(entry.at_ms))
             .unwrap_or(UNIX_EPOCH);
         let time = humantime::format_rfc3339_millis(time).to_string();
-        let line = serde_json::to_string(&AuditLine { time, entry }).map_err(|e| e.to_string());
-        let written = line.and_then(|line| writeln!(out, "{line}").map_err(|e| e.to_string()));
-        failed = written.err();
-        failed.is_none()
+        let line = serde_json::to_string(&AuditLine { time, entry }).map_err(std::io::Error::from);
+        written = line.and_then(|line| writeln!(out, "{line}"));
+        written.is_ok()
     });
     let reported = |error: StoreError| CliFailure::Input(format!("the store of sessions: {error}"));
     block_on(read)?.map_err(reported)?;
-    if failed.is_none() {
-        failed = out.flush().err().map(|e| e.to_string());
-    }
-    failed.map_or(Ok(()), |e| {
-        Err(CliFailure::Internal(format!("cannot write to stdout: {e}")))
-    })
+    printed(written.and_then(|()| out.flush()))
 }

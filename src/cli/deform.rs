@@ -177,6 +177,9 @@ fn print_summary(report: &pb::Report, followed: &FollowedCounts, millis: f64) {
             step.ms.get("solve").copied().unwrap_or_default()
         );
     }
+    if report.steps.is_empty() {
+        say!("the job has no steps, so the shape stays as it is");
+    }
     let quality = report.quality.unwrap_or_default();
     let volume = describe_change(quality.open_surface, quality.volume_change);
     say!(

@@ -86,7 +86,7 @@ async fn run_store_check(args: &StoreCheckArgs) -> Result<(), CliFailure> {
     let (mut damaged, mut reported) = (u64::from(in_database.is_err()), Vec::new());
     let mut total = CheckedSession::default();
     if let (Err(error), false) = (&in_database, args.json) {
-        list!("damaged  the database: {error}");
+        list!("damaged  the database: {error}")?;
     }
     let sessions = store.all_sessions().await.map_err(store_failure)?;
     for session in &sessions {
@@ -101,7 +101,7 @@ async fn run_store_check(args: &StoreCheckArgs) -> Result<(), CliFailure> {
         }
         match args.json {
             true => reported.push(checked_json(session, &checked)),
-            false => list!("{}", as_line(session, &checked)),
+            false => list!("{}", as_line(session, &checked))?,
         }
     }
     let unused = store.unused_objects().await.map_err(store_failure)?;
@@ -118,7 +118,7 @@ async fn run_store_check(args: &StoreCheckArgs) -> Result<(), CliFailure> {
             total.objects,
             total.object_bytes,
             unused.len()
-        );
+        )?;
     }
     match damaged {
         0 => Ok(()),
@@ -207,7 +207,7 @@ async fn run_store_export(args: &StoreExportArgs) -> Result<(), CliFailure> {
         .permission
         .write_model(&args.output, &exported.written, &args.output, &nothing)?;
     for path in written {
-        list!("{}", path.display());
+        list!("{}", path.display())?;
     }
     Ok(())
 }
@@ -315,7 +315,7 @@ async fn run_store_list(args: &StoreListArgs) -> Result<(), CliFailure> {
             "{id}\t{commits}\t{}\t{}\t{tenant}",
             last_use(session),
             time_to_live(session)
-        );
+        )?;
     }
     Ok(())
 }
@@ -395,14 +395,14 @@ async fn run_store_prune(args: &StorePruneArgs) -> Result<(), CliFailure> {
                 .await
                 .map_err(store_failure)?;
         }
-        list!("session  {}  {}", session.id, session.tenant.0);
+        list!("session  {}  {}", session.id, session.tenant.0)?;
     }
     let unused = store.unused_objects().await.map_err(store_failure)?;
     if !args.dry_run {
         store.remove_unused(&unused).await.map_err(store_failure)?;
     }
     for object in &unused {
-        list!("object   {object}");
+        list!("object   {object}")?;
     }
     if let (Some(age), false) = (args.audit_older_than, args.dry_run) {
         let before = now.saturating_sub(milliseconds(age));
@@ -412,6 +412,5 @@ async fn run_store_prune(args: &StorePruneArgs) -> Result<(), CliFailure> {
         if args.dry_run { "would be removed" } else { "removed" },
         (sessions.len(), unused.len()),
     );
-    list!("{} sessions and {} objects {done}", counts.0, counts.1);
-    Ok(())
+    list!("{} sessions and {} objects {done}", counts.0, counts.1)
 }

@@ -24,9 +24,9 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 macro_rules! say {
     ($($part:tt)*) => { $crate::cli::terminal::report(&format!($($part)*)) };
 }
-/// Prints a line on stdout, as `println!` does, with what would steer a terminal escaped.
+/// Prints a line on stdout, as [`print_text`] does.
 macro_rules! list {
-    ($($part:tt)*) => { println!("{}", $crate::cli::terminal::harmless(&format!($($part)*))) };
+    ($($part:tt)*) => { $crate::cli::terminal::print_text(&(format!($($part)*) + "\n")) };
 }
 pub(super) use {list, say};
 
@@ -166,7 +166,17 @@ pub(super) fn print_text(text: &str) -> Result<(), CliFailure> {
     let written = stdout
         .write_all(harmless(text).as_bytes())
         .and_then(|()| stdout.flush());
-    written.map_err(|e| CliFailure::Internal(format!("cannot write to stdout: {e}")))
+    printed(written)
+}
+
+/// What printing on stdout has come to. It is no failure that nothing reads any more, as in `pliant … --json | head`.
+pub(super) fn printed(written: std::io::Result<()>) -> Result<(), CliFailure> {
+    match written {
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
+            Err(CliFailure::Internal(format!("cannot write to stdout: {e}")))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Writes a line to stderr, if something reads it.

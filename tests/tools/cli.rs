@@ -133,6 +133,18 @@ fn a_job_can_ask_for_the_papers_operators() {
 }
 
 #[test]
+fn a_job_without_steps_says_so() {
+    let folder = Workplace::new();
+    folder.put("job.json", "{}");
+    let ran = folder.run("deform creature.glb --job job.json -o out.glb");
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    assert!(ran.err.contains("the job has no steps"), "{}", ran.err);
+    folder.put("job.json", JOB);
+    let ran = folder.run("deform creature.glb --job job.json -o bent.glb");
+    assert!(ran.code == Some(0) && !ran.err.contains("no steps"), "{}", ran.err);
+}
+
+#[test]
 fn every_step_of_a_job_is_written_where_it_is_asked_for() {
     let folder = Workplace::new();
     let job = r#"{
@@ -446,6 +458,28 @@ fn work_goes_on_where_nothing_reads_what_is_reported() {
     let ended = pliant_in(folder.path(), arguments).stderr(stderr).status();
     assert_eq!(ended.expect("it runs").code(), Some(0), "as `2>&1 | head` does");
     assert!(folder.at("out.glb").exists());
+
+    // Nor is a document that nothing reads a failure; one that cannot be written is.
+    let arguments = "deform creature.glb --job job.json -o read.glb --json";
+    let (unread, stdout) = std::io::pipe().expect("a pipe");
+    drop(unread);
+    let ended = pliant_in(folder.path(), arguments)
+        .stdout(stdout)
+        .output()
+        .expect("it runs");
+    let said = String::from_utf8_lossy(&ended.stderr).into_owned();
+    assert_eq!(ended.status.code(), Some(0), "as `--json | head` does: {said}");
+    assert!(folder.at("read.glb").exists() && !said.contains("pliant: "), "{said}");
+    let Ok(full) = std::fs::File::options().write(true).open("/dev/full") else {
+        return;
+    };
+    let ended = pliant_in(folder.path(), "inspect creature.glb --json")
+        .stdout(full)
+        .output()
+        .expect("it runs");
+    let said = String::from_utf8_lossy(&ended.stderr).into_owned();
+    assert_eq!(ended.status.code(), Some(3), "{said}");
+    assert!(said.contains("cannot write to stdout"), "{said}");
 }
 
 #[test]
