@@ -319,7 +319,11 @@ fn is_beside(a: [DVec3; 3], b: [DVec3; 3]) -> bool {
     sides.iter().all(|&s| s > 0.0) || sides.iter().all(|&s| s < 0.0)
 }
 
-/// Whether the segment from `p` to `q` passes through `t`, border included, with its ends strictly on both sides.
+/// What rounding to 32 bits moves a coordinate by at most, relative to it: half of the last place.
+const ROUNDING: f64 = 0.5 * f32::EPSILON as f64;
+
+/// Whether the segment from `p` to `q` passes through `t`, border included, with its ends on both sides, by more than what rounding
+/// moves them by. Faces of one plane that share a corner would cross otherwise once the plane is turned.
 pub(crate) fn passes(p: DVec3, q: DVec3, t: [DVec3; 3]) -> bool {
     let [a, b, c] = t;
     let (s, e) = (signed_volume(a, b, c, p), signed_volume(a, b, c, q));
@@ -331,7 +335,14 @@ pub(crate) fn passes(p: DVec3, q: DVec3, t: [DVec3; 3]) -> bool {
         signed_volume(p, q, b, c),
         signed_volume(p, q, c, a),
     ];
-    around.iter().all(|&v| v >= 0.0) || around.iter().all(|&v| v <= 0.0)
+    if !(around.iter().all(|&v| v >= 0.0) || around.iter().all(|&v| v <= 0.0)) {
+        return false;
+    }
+    let largest = [a, b, c, p, q]
+        .iter()
+        .map(|at| at.abs().max_element())
+        .fold(0.0, f64::max);
+    s.abs().min(e.abs()) > ROUNDING * largest * (b - a).cross(c - a).length()
 }
 
 /// Six times the signed volume of a tetrahedron.
@@ -389,6 +400,28 @@ mod tests {
         let expected: Vec<_> = expected.collect();
         assert!(!expected.is_empty() && expected.len() < all.len());
         assert_eq!(asked(&some), expected);
+    }
+
+    #[test]
+    fn triangles_of_a_flat_lid_cross_at_no_angle() {
+        let sides = 24;
+        let triangles: Vec<[u32; 3]> = (0..sides).map(|k| [0, 1 + k, 1 + (k + 1) % sides]).collect();
+        for (radius, height) in [(0.25, 0.0), (0.3, 2.0)] {
+            for degrees in 0..180 {
+                let turn = glam::DMat3::from_rotation_z(f64::from(degrees).to_radians());
+                let corner = |k: u32| {
+                    let (sine, cosine) = (f64::from(k) / f64::from(sides) * std::f64::consts::TAU).sin_cos();
+                    DVec3::new(radius * cosine, height, radius * sine)
+                };
+                let lid = std::iter::once(DVec3::new(0.0, height, 0.0)).chain((0..sides).map(corner));
+                let lid: Vec<DVec3> = lid.map(|p| turn * p.as_vec3().as_dvec3()).collect();
+                assert_eq!(
+                    count(&lid, &triangles),
+                    0,
+                    "radius {radius}, turned by {degrees} degrees"
+                );
+            }
+        }
     }
 
     #[test]
