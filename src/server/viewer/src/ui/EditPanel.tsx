@@ -131,11 +131,16 @@ function Holes({ none }: { none: boolean }): JSX.Element {
   );
 }
 
-/** Vertices and parts of the whole model. */
+/** Vertices that lie together, and parts of the whole model that are too small or copies. */
 function Parts(): JSX.Element {
+  const diagonal = s.doc.value?.report.diagonal ?? 1;
   const [within, setWithin] = useState<number>();
-  const [largest, setLargest] = useState(1);
-  const near = within ?? Number(((s.doc.value?.report.diagonal ?? 1) / 1e5).toPrecision(1));
+  const [largest, setLargest] = useState(0);
+  const [share, setShare] = useState(1);
+  const [size, setSize] = useState(0);
+  const [apart, setApart] = useState(0);
+  const near = within ?? Number((diagonal / 1e5).toPrecision(1));
+  const rules = { keepLargest: largest, smallestShare: share / 100, smallestSize: size, duplicatesWithin: apart };
   return (
     <Group title="Vertices and parts">
       <div class="row">
@@ -145,12 +150,27 @@ function Parts(): JSX.Element {
         <span class="gap" />
         <Button label="Weld" onClick={() => void edit("Welding", { case: "weld", value: { tolerance: near } })} />
       </div>
+      <Field label="Smallest area" hint="Connected parts with less go, in percent of the largest part's area; 0: none">
+        <NumberInput label="Smallest area of a part" value={share} min={0} max={100} digits={4} step={1} onValue={setShare} />
+        <span>%</span>
+      </Field>
+      <Field label="Smallest size" hint="Parts go whose box has a shorter diagonal, in model units; 0: none">
+        <NumberInput label="Smallest size of a part" value={size} min={0} digits={9} step={diagonal / 100} onValue={setSize} />
+      </Field>
+      <Field label="Copies within" hint="Triangles go whose corners are at most this far from those of another, in model units; 0: none">
+        <NumberInput label="Distance of copies" value={apart} min={0} digits={9} step={near} onValue={setApart} />
+      </Field>
       <div class="row">
-        <Field label="Parts" hint="How many connected parts stay, by their area">
-          <NumberInput label="Parts to keep" value={largest} min={1} digits={0} step={1} onValue={setLargest} />
+        <Field label="Keep at most" hint="How many parts stay, those with the largest area; 0: all">
+          <NumberInput label="Parts to keep" value={largest} min={0} digits={0} step={1} onValue={setLargest} />
         </Field>
         <span class="gap" />
-        <Button label="Keep largest" onClick={() => void edit("Keeping the largest parts", { case: "clean", value: { keepLargest: largest } })} />
+        <Button
+          label="Clean"
+          hint="Removes small parts and hidden copies of the whole model"
+          disabled={Object.values(rules).every((rule) => rule === 0)}
+          onClick={() => void edit("Cleaning", { case: "clean", value: rules })}
+        />
       </div>
     </Group>
   );
