@@ -8,6 +8,7 @@ import * as s from "../app/signals.ts";
 import { count } from "../model/words.ts";
 import { Cut } from "./Cut.tsx";
 import { pickModel } from "./files.ts";
+import { Line } from "./Line.tsx";
 import { Button, Check, Choice, Field, NumberInput, Section, Select } from "./parts.tsx";
 
 export function EditPanel(): JSX.Element {
@@ -23,6 +24,7 @@ export function EditPanel(): JSX.Element {
       )}
       <fieldset disabled={refused !== undefined}>
         <Cut />
+        <Line />
         <p class="hint">
           {selected > 0
             ? `What follows works on the ${count(selected)} selected vertices; parts, other models and the pose are edited as a whole.`
