@@ -5,7 +5,7 @@ import { Sheet } from "../browser.mjs";
 import { shows } from "./hold.mjs";
 import { openSample } from "./sample.mjs";
 
-export const title = "delete, fill, decimate, weld, clean, merge, wrap, part crossings and adopt are in the panel; what changes nothing says so";
+export const title = "delete, fill, decimate, weld, clean, merge, wrap, resolve crossings and adopt are in the panel; what changes nothing says so";
 
 const TETRAHEDRON = "v 3 0 0\nv 3.5 0 0\nv 3 0.5 0\nv 3 0 0.5\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n";
 
@@ -78,7 +78,7 @@ export async function play({ browser, url, server, log }) {
   await rule("Distance of copies", 0);
   await rule("Parts to keep", 1);
   assert.equal(await edit("Clean", "Cleaning: done"), fewer);
-  assert.equal(await edit("Part crossings", "Parting crossings"), fewer);
+  assert.equal(await edit("Resolve crossings", "Resolving crossings"), fewer);
 
   // A pose becomes the rest pose: the handle is at rest there.
   await sheet.tool("Move the handle");
@@ -87,7 +87,7 @@ export async function play({ browser, url, server, log }) {
   await sheet.until("the pose is recorded", (state) => state.revision !== revision);
   steps += 1;
   const posed = await positions();
-  await edit("Make it the rest pose", "New rest pose: done");
+  await edit("Set as rest pose", "New rest pose: done");
   assert.deepEqual(await positions(), posed, "the shape stays");
   const [, adopted] = await sheet.ask("handles");
   assert.ok(adopted.pose.translation.every((x) => x === 0), "and its handles are at rest");

@@ -27,8 +27,8 @@ export function EditPanel(): JSX.Element {
         <Line />
         <p class="hint">
           {selected > 0
-            ? `What follows works on the ${count(selected)} selected vertices; parts, other models and the pose are edited as a whole.`
-            : "What follows works on the whole model; paint a region to limit it."}
+            ? `Triangles and holes are edited at the ${count(selected)} selected vertices, the rest as a whole.`
+            : "Edits below work on the whole model; select a region to limit those of triangles and holes."}
         </p>
         <Surface />
         <Holes none={selected === 0} />
@@ -146,7 +146,7 @@ function Parts(): JSX.Element {
   return (
     <Group title="Vertices and parts">
       <div class="row">
-        <Field label="Within" hint="Vertices at most this far apart become one, in model units">
+        <Field label="Distance" hint="Vertices at most this far apart become one, in model units">
           <NumberInput label="Welding distance" value={near} min={1e-12} digits={9} step={near} onValue={setWithin} />
         </Field>
         <span class="gap" />
@@ -220,9 +220,9 @@ function WholePose(): JSX.Element {
   return (
     <Group title="Pose">
       <div class="row">
-        <Button label="Part crossings" hint="Moves as little as is needed for triangles not to cross" onClick={() => void edit("Parting crossings", { case: "unintersect", value: {} })} />
+        <Button label="Resolve crossings" hint="Moves vertices as little as is needed for triangles not to cross" onClick={() => void edit("Resolving crossings", { case: "unintersect", value: {} })} />
         <span class="gap" />
-        <Button label="Make it the rest pose" hint="Later poses go on from this shape" onClick={() => void edit("New rest pose", { case: "adopt", value: {} })} />
+        <Button label="Set as rest pose" hint="Later poses start from this shape" onClick={() => void edit("New rest pose", { case: "adopt", value: {} })} />
       </div>
     </Group>
   );
