@@ -46,3 +46,17 @@ export function finger(vertices) {
   const buffer = Buffer.concat([Buffer.from(head), Buffer.from(positions.buffer), body]);
   return { name: `finger-${count}.ply`, mimeType: "application/octet-stream", buffer };
 }
+
+/** The figure's body alone: a page's session solves hull and coarser levels of detail too, `pliant animate` leaves them out. */
+export function bodyAlone(glb) {
+  const length = glb.readUInt32LE(12);
+  const document = JSON.parse(glb.subarray(20, 20 + length));
+  const isLeftOut = (node) => ["hull", "lod1", "lod2"].includes(document.nodes[node].name);
+  document.scenes[0].nodes = document.scenes[0].nodes.filter((node) => !isLeftOut(node));
+  const text = Buffer.from(JSON.stringify(document));
+  const padded = Buffer.concat([text, Buffer.alloc(-text.length & 3, " ")]);
+  const head = Buffer.from(glb.subarray(0, 20));
+  head.writeUInt32LE(glb.length - length + padded.length, 8);
+  head.writeUInt32LE(padded.length, 12);
+  return Buffer.concat([head, padded, glb.subarray(20 + length)]);
+}

@@ -20,11 +20,11 @@ function jointOf([name, offset, below], kind) {
   return `${kind} ${name}\n{\nOFFSET ${offset.join(" ")}\nCHANNELS ${channels}\n${inner}}\n`;
 }
 
-/** Someone waves, walks sideways and turns about the vertical, so many frames a second of 30. */
-export function waving(frames, name = "waving.bvh") {
+/** Someone waves, walks sideways by so many centimetres a frame and turns about the vertical: 30 frames a second. */
+export function waving(frames, name = "waving.bvh", stride = 0.5) {
   const rows = Array.from({ length: frames }, (_, k) => {
     const swing = Math.sin(k / 6);
-    return [k * 0.5, 95, 0, 0, 0, k * 0.4, 6 * swing, 0, 0, 30 * swing, 0, 0, 35 + 35 * swing, 0, 0].map((x) => x.toFixed(4)).join(" ");
+    return [k * stride, 95, 0, 0, 0, k * 0.4, 6 * swing, 0, 0, 30 * swing, 0, 0, 35 + 35 * swing, 0, 0].map((x) => x.toFixed(4)).join(" ");
   });
   const text = `HIERARCHY\n${jointOf(BODY, "ROOT")}MOTION\nFrames: ${frames}\nFrame Time: 0.0333333\n${rows.join("\n")}\n`;
   return { name, mimeType: "application/octet-stream", buffer: Buffer.from(text) };

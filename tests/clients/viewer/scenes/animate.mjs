@@ -6,6 +6,7 @@ import { mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import path from "node:path";
 import { Sheet } from "../browser.mjs";
+import { bodyAlone } from "../models.mjs";
 import { nodding, waving } from "../recordings.mjs";
 import { BINARY } from "../server.mjs";
 import { openSample } from "./sample.mjs";
@@ -139,20 +140,6 @@ async function ownClip({ browser, url, server, log, folder }) {
   assert.deepEqual(await other.positions(), bent, "it is bent as before");
   assert.deepEqual(other.complaints, []);
   await other.close();
-}
-
-/** The figure's body alone: a page's session solves hull and coarser levels of detail too, `pliant animate` leaves them out. */
-function bodyAlone(glb) {
-  const length = glb.readUInt32LE(12);
-  const document = JSON.parse(glb.subarray(20, 20 + length));
-  const isLeftOut = (node) => ["hull", "lod1", "lod2"].includes(document.nodes[node].name);
-  document.scenes[0].nodes = document.scenes[0].nodes.filter((node) => !isLeftOut(node));
-  const text = Buffer.from(JSON.stringify(document));
-  const padded = Buffer.concat([text, Buffer.alloc(-text.length & 3, " ")]);
-  const head = Buffer.from(glb.subarray(0, 20));
-  head.writeUInt32LE(glb.length - length + padded.length, 8);
-  head.writeUInt32LE(padded.length, 12);
-  return Buffer.concat([head, padded, glb.subarray(20 + length)]);
 }
 
 /** Recordings: on a figure without a rig, on the creature with one; cancelled and gone on with. */

@@ -185,20 +185,22 @@ async function buttonsAreTheSame(sheet, log) {
     return motion(before, await camera());
   };
   const { revision } = await sheet.ask("state");
+  const selects = async () => ["brush", "box", "lasso", "part", "remesh"].includes(await page.locator(".canvas canvas").getAttribute("data-tool"));
   const checks = async (turns, pans) => {
     for (const tool of await page.locator(".rail button").all()) {
       await tool.click();
       const seen = [await does(turns), await does(turns, "Shift"), await does(pans), await wheel()];
       assert.deepEqual(seen, ["turn", "pan", "pan", "zoom"], `with the tool ${await tool.getAttribute("title")}: ${turns}, Shift and ${turns}, ${pans}, wheel`);
+      if (!(await selects())) assert.deepEqual([await does("left"), await does("left", "Shift")], ["turn", "pan"], `with the tool ${await tool.getAttribute("title")}: left, Shift and left`);
     }
   };
   const hint = (words) => page.getByText(words).first().waitFor();
   await sheet.key("f");
   await checks("middle", "right");
-  await hint("The middle button orbits; with Shift, or with the right button, it pans; the wheel zooms.");
+  await hint("The middle button orbits, and so does the left one unless the tool selects; with Shift they pan, as the right button does; the wheel zooms.");
   await page.getByRole("radio", { name: "right button" }).click();
   await checks("right", "middle");
-  await hint("The right button orbits; with Shift, or with the middle button, it pans; the wheel zooms.");
+  await hint("The right button orbits, and so does the left one unless the tool selects; with Shift they pan, as the middle button does; the wheel zooms.");
   const after = await sheet.ask("state");
   assert.deepEqual([after.selected, after.revision], [0, revision], "looking around selects and records nothing");
   log("9 tools, 2 habits: every button does the same");

@@ -75,5 +75,20 @@ export async function play({ browser, url, log }) {
   const hint = await touched.page.getByText("Paint, box or lasso the places").innerText();
   assert.match(hint, /One finger selects; two pan/);
   assert.doesNotMatch(hint, /Shift|button|wheel/);
+  // The axes turn the view for a finger, too; a second tap looks from the other side.
+  const along = async () => {
+    const { eye, target } = await touched.ask("camera");
+    const far = Math.hypot(...eye.map((x, k) => x - target[k]));
+    return eye.map((x, k) => Math.round((x - target[k]) / far) + 0);
+  };
+  const side = touched.page.getByRole("button", { name: "View from the right" });
+  await side.tap();
+  assert.deepEqual(await along(), [1, 0, 0]);
+  await touched.page.waitForTimeout(100);
+  await side.tap();
+  assert.deepEqual(await along(), [-1, 0, 0]);
+  await touched.page.getByRole("button", { name: "View from the front" }).tap();
+  assert.deepEqual(await along(), [0, 0, 1]);
+  await touched.picture("narrow-views");
   await touched.close();
 }

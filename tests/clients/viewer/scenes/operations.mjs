@@ -5,7 +5,7 @@ import { Sheet } from "../browser.mjs";
 import { shows } from "./hold.mjs";
 import { openSample } from "./sample.mjs";
 
-export const title = "delete, fill, decimate, weld, keep, merge, wrap, part crossings and adopt are in the panel; what changes nothing says so";
+export const title = "delete, fill, decimate, weld, clean, merge, wrap, resolve crossings and adopt are in the panel; what changes nothing says so";
 
 const TETRAHEDRON = "v 3 0 0\nv 3.5 0 0\nv 3 0.5 0\nv 3 0 0.5\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n";
 
@@ -57,10 +57,28 @@ export async function play({ browser, url, server, log }) {
   const fewer = await edit("Decimate", "Decimating: done");
   assert.ok(fewer < before * 0.6 && fewer > before * 0.4, `half of ${before} are ${fewer}`);
 
-  const more = await edit("Merge", "Merging: done", () => choose("Merge…", undefined, { name: "tetrahedron.obj", mimeType: "text/plain", buffer: Buffer.from(TETRAHEDRON) }));
-  assert.equal(more, fewer + 4);
-  assert.equal(await edit("Keep largest", "Keeping the largest parts: done"), fewer);
-  assert.equal(await edit("Part crossings", "Parting crossings"), fewer);
+  // A small part, and a copy of it, go by each rule.
+  const merge = () => edit("Merge", "Merging: done", () => choose("Merge…", undefined, { name: "tetrahedron.obj", mimeType: "text/plain", buffer: Buffer.from(TETRAHEDRON) }));
+  const rule = async (name, value) => {
+    await page.getByLabel(name, { exact: true }).fill(String(value));
+    await sheet.key("Enter");
+  };
+  await rule("Smallest area of a part", 0);
+  assert.ok(await button("Clean").isDisabled(), "without a rule there is nothing to clean");
+  for (const [name, value] of [["Smallest area of a part", 50], ["Smallest size of a part", 1], ["Parts to keep", 1]]) {
+    assert.equal(await merge(), fewer + 4);
+    await rule(name, value);
+    assert.equal(await edit("Clean", "Cleaning: done"), fewer, `${name}: ${value}`);
+    await rule(name, 0);
+  }
+  for (let copies = 0; copies < 2; copies++) await merge();
+  await rule("Distance of copies", 0.001);
+  await sheet.picture("edit-clean");
+  assert.equal(await edit("Clean", "Cleaning: done"), fewer + 4, "one of the copies stays");
+  await rule("Distance of copies", 0);
+  await rule("Parts to keep", 1);
+  assert.equal(await edit("Clean", "Cleaning: done"), fewer);
+  assert.equal(await edit("Resolve crossings", "Resolving crossings"), fewer);
 
   // A pose becomes the rest pose: the handle is at rest there.
   await sheet.tool("Move the handle");
@@ -69,7 +87,7 @@ export async function play({ browser, url, server, log }) {
   await sheet.until("the pose is recorded", (state) => state.revision !== revision);
   steps += 1;
   const posed = await positions();
-  await edit("Make it the rest pose", "New rest pose: done");
+  await edit("Set as rest pose", "New rest pose: done");
   assert.deepEqual(await positions(), posed, "the shape stays");
   const [, adopted] = await sheet.ask("handles");
   assert.ok(adopted.pose.translation.every((x) => x === 0), "and its handles are at rest");

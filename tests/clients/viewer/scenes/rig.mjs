@@ -21,7 +21,7 @@ async function put(sheet, name, { x, y }) {
   const before = jointOf(await sheet.ask("state"), name);
   const { place } = before;
   await sheet.drag([place, { x: place.x + x, y: place.y + y }], { steps: 6 });
-  await sheet.page.getByText("looking again").waitFor({ state: "detached" });
+  await sheet.page.getByText("searching again").waitFor({ state: "detached" });
   return sheet.until(`${name} is put`, (state) => state.rig !== null && jointOf(state, name).given && !state.busy);
 }
 
@@ -53,7 +53,7 @@ async function correct({ browser, url, server, log }) {
     assert.ok(clicks < 4 * rig.length, `${next.name} cannot be clicked on`);
     await sheet.page.mouse.click(next.place.x, next.place.y);
   }
-  await sheet.page.getByText("looking again").waitFor({ state: "detached" });
+  await sheet.page.getByText("searching again").waitFor({ state: "detached" });
   assert.ok((await sheet.ask("state")).rig.every((joint) => !joint.doubtful), "all are sure");
   const given = (await sheet.ask("state")).rig.filter((joint) => joint.given);
   log(`${doubtful.length} joints were not sure, ${given.length} were put by hand`);

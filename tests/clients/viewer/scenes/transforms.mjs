@@ -124,6 +124,18 @@ async function inFields(sheet) {
     await sheet.key("Enter");
   });
   await undone(sheet, rest);
+  // After Enter the page's keys work at once: Ctrl+S exports, and the browser does not save the page itself.
+  const { revision } = await sheet.ask("state");
+  await field.click();
+  await page.keyboard.type("0.2");
+  await page.evaluate(() => addEventListener("keydown", (event) => event.key === "s" && (window.leftToBrowser = !event.defaultPrevented), { once: false }));
+  await sheet.key("Enter");
+  const [download] = await Promise.all([page.waitForEvent("download"), sheet.key("Control+s")]);
+  assert.match(download.suggestedFilename(), /\.glb$/);
+  assert.equal(await page.evaluate(() => window.leftToBrowser), false, "the browser's own dialog stays away");
+  await sheet.until("the number is recorded", (state) => state.revision !== revision);
+  await undone(sheet, rest);
+  assert.equal(await field.inputValue(), "0", "the field shows what holds");
   // In the field, too: what is typed and not taken is dropped, and the step before is undone.
   await recorded(sheet, "a typed number", async () => {
     await field.fill("0.3");

@@ -46,22 +46,22 @@ export function region(): { region?: ReturnType<typeof regionOf> } {
   return found.length === 0 ? {} : { region: regionOf(found) };
 }
 
-/** Carries out an edit of the shape as it is: one commit, which is called `what`. */
-export async function edit(what: string, operation: Operation): Promise<void> {
+/** Carries out an edit of the shape as it is: one commit, which is called `what`. Without an answer, nothing was changed. */
+export async function edit(what: string, operation: Operation): Promise<schema.EditResult | undefined> {
   const open = s.doc.peek();
-  if (open === undefined) return;
+  if (open === undefined) return undefined;
   bringBack();
-  if (await isStale(what)) return;
+  if (await isStale(what)) return undefined;
   const control = new AbortController();
   const busy: s.Busy = { title: what, cancel: () => control.abort() };
   s.busy.value = busy;
   const onWork = ({ stage, fraction }: schema.Work): void => {
     if (s.busy.peek() !== undefined) s.busy.value = { ...busy, detail: stage, fraction };
   };
-  await committing(() => carryOut(open, what, open.session.edit({ operation }, { signal: control.signal, onWork })));
+  return committing(() => carryOut(open, what, open.session.edit({ operation }, { signal: control.signal, onWork })));
 }
 
-async function carryOut(open: s.Document, what: string, answer: Promise<schema.EditResult>): Promise<void> {
+async function carryOut(open: s.Document, what: string, answer: Promise<schema.EditResult>): Promise<schema.EditResult | undefined> {
   try {
     const result = await answer;
     holdBeforeEdits();
@@ -86,9 +86,11 @@ async function carryOut(open: s.Document, what: string, answer: Promise<schema.E
     void keepDocument();
     s.note("info", nothing ? `${what} changed nothing` : `${what}: done`, nothing ? result.warnings[0]?.message : outcomeOf(result));
     for (const warning of nothing ? [] : result.warnings) s.note("info", warning.message, otherPlaces(warning));
+    return result;
   } catch (error) {
     if (error instanceof PliantError && error.isUnimplemented) s.editsRefused.value = error.message;
     else s.fail(`${what} failed`, error);
+    return undefined;
   } finally {
     s.busy.value = undefined;
   }

@@ -5,6 +5,7 @@ import { animating, coming, isCompared } from "./animating.ts";
 import { crossings } from "./crossing.ts";
 import { paintedSoFar } from "./dragging.ts";
 import { wardrobe } from "./dressing.ts";
+import { linePoints } from "./lines.ts";
 import { playing } from "./playing.ts";
 import { rigging } from "./rigging.ts";
 import * as s from "./signals.ts";
@@ -42,6 +43,8 @@ export interface Probe {
     crossings: number;
     /** The points of the active handle's guide, on the page. */
     points: { at: readonly number[]; place: { x: number; y: number } | undefined }[];
+    /** The points of the line that is drawn, on the page. */
+    line: ({ x: number; y: number } | undefined)[];
     /** The joints of the rig that is shown, on the page. */
     rig: { name: string; score: number | null; doubtful: boolean; given: boolean; at: readonly number[]; place: { x: number; y: number } | undefined }[] | null;
     revision: string;
@@ -97,6 +100,7 @@ export function installProbe(): void {
       animation: animationNow(),
       crossings: crossings.peek()?.total ?? -1,
       points: ((handle) => (handle?.pose.places ?? handle?.guide?.rest ?? []).map((at) => ({ at: [...at], place: place(new Vector3(...at)) })))(s.activeHandle.peek()),
+      line: linePoints.peek().map((at) => place(new Vector3(...at))),
       rig: rigging.peek()?.joints.map(({ name, score, doubtful, given, at }) => ({ name, score: score ?? null, doubtful, given, at, place: place(new Vector3(...at)) })) ?? null,
       revision: String(s.currentRevision.peek()),
       ...paintedSoFar(),

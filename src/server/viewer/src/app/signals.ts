@@ -34,7 +34,7 @@ export interface Note {
   readonly detail?: string;
 }
 
-export type Tool = "orbit" | "brush" | "box" | "lasso" | "part" | "move" | "rotate" | "scale" | "remesh";
+export type Tool = "orbit" | "brush" | "box" | "lasso" | "part" | "move" | "rotate" | "scale" | "remesh" | "line";
 export type Theme = "auto" | "dark" | "light";
 export type Colouring = "handles" | "stretch" | "crossings" | "plain";
 

@@ -5,6 +5,7 @@ import { pick } from "../scene/picking.ts";
 import { ScreenView } from "../scene/screen.ts";
 import { remesh } from "./editing.ts";
 import { giveUpLeading } from "./leading.ts";
+import { addPoint } from "./lines.ts";
 import * as s from "./signals.ts";
 import { did } from "./steps.ts";
 import { giveUpTransform } from "./transforming.ts";
@@ -159,7 +160,8 @@ function release(event: PointerEvent): void {
   follow(at);
   const still = way !== undefined && way.length < CLICK_PIXELS;
   way = undefined;
-  if (choosing && still) chooseHandle(at.x, at.y);
+  if (choosing && still && s.tool.peek() === "line") addPoint(at.x, at.y);
+  else if (choosing && still) chooseHandle(at.x, at.y);
   choosing = false;
   const done = stroke;
   if (done === undefined) return;

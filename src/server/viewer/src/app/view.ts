@@ -17,6 +17,8 @@ export interface View {
   readonly joints: Joints;
   /** Points of the active handle's guide. */
   readonly controls: Joints;
+  /** Points of the line that is drawn. */
+  readonly line: Joints;
   readonly overlay: Overlay;
   readonly pointer: Pointer;
 }

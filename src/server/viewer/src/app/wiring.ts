@@ -20,6 +20,7 @@ import { installFollowing } from "./following.ts";
 import { startOf } from "./handling.ts";
 import { installIntermission, onScreen } from "./intermission.ts";
 import { controlEvents, installLeading } from "./leading.ts";
+import { installLines, lineEvents } from "./lines.ts";
 import { repaint } from "./painting.ts";
 import { installPlaying } from "./playing.ts";
 import { installRigging, jointEvents } from "./rigging.ts";
@@ -57,7 +58,7 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
     },
   });
   const plane = new CuttingPlane(stage);
-  setView({ stage, gizmo, axes: new Axes(stage), markers: new Markers(stage), joints: new Joints(stage, jointEvents), controls: new Joints(stage, controlEvents), overlay: new Overlay(host), pointer: new Pointer(stage) });
+  setView({ stage, gizmo, axes: new Axes(stage), markers: new Markers(stage), joints: new Joints(stage, jointEvents), controls: new Joints(stage, controlEvents), line: new Joints(stage, lineEvents), overlay: new Overlay(host), pointer: new Pointer(stage) });
   installTools();
   installSteps();
   installTransforming();
@@ -70,6 +71,7 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
   installCrossing();
   installRigging();
   installLeading();
+  installLines();
   stage.beforePaint(() => followGizmo(gizmoLabel));
 
   const dark = matchMedia("(prefers-color-scheme: dark)");

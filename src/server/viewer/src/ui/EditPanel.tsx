@@ -8,6 +8,7 @@ import * as s from "../app/signals.ts";
 import { count } from "../model/words.ts";
 import { Cut } from "./Cut.tsx";
 import { pickModel } from "./files.ts";
+import { Line } from "./Line.tsx";
 import { Button, Check, Choice, Field, NumberInput, Section, Select } from "./parts.tsx";
 
 export function EditPanel(): JSX.Element {
@@ -23,10 +24,11 @@ export function EditPanel(): JSX.Element {
       )}
       <fieldset disabled={refused !== undefined}>
         <Cut />
+        <Line />
         <p class="hint">
           {selected > 0
-            ? `What follows works on the ${count(selected)} selected vertices; parts, other models and the pose are edited as a whole.`
-            : "What follows works on the whole model; paint a region to limit it."}
+            ? `Triangles and holes are edited at the ${count(selected)} selected vertices, the rest as a whole.`
+            : "Edits below work on the whole model; select a region to limit those of triangles and holes."}
         </p>
         <Surface />
         <Holes none={selected === 0} />
@@ -131,26 +133,46 @@ function Holes({ none }: { none: boolean }): JSX.Element {
   );
 }
 
-/** Vertices and parts of the whole model. */
+/** Vertices that lie together, and parts of the whole model that are too small or copies. */
 function Parts(): JSX.Element {
+  const diagonal = s.doc.value?.report.diagonal ?? 1;
   const [within, setWithin] = useState<number>();
-  const [largest, setLargest] = useState(1);
-  const near = within ?? Number(((s.doc.value?.report.diagonal ?? 1) / 1e5).toPrecision(1));
+  const [largest, setLargest] = useState(0);
+  const [share, setShare] = useState(1);
+  const [size, setSize] = useState(0);
+  const [apart, setApart] = useState(0);
+  const near = within ?? Number((diagonal / 1e5).toPrecision(1));
+  const rules = { keepLargest: largest, smallestShare: share / 100, smallestSize: size, duplicatesWithin: apart };
   return (
     <Group title="Vertices and parts">
       <div class="row">
-        <Field label="Within" hint="Vertices at most this far apart become one, in model units">
+        <Field label="Distance" hint="Vertices at most this far apart become one, in model units">
           <NumberInput label="Welding distance" value={near} min={1e-12} digits={9} step={near} onValue={setWithin} />
         </Field>
         <span class="gap" />
         <Button label="Weld" onClick={() => void edit("Welding", { case: "weld", value: { tolerance: near } })} />
       </div>
+      <Field label="Smallest area" hint="Connected parts with less go, in percent of the largest part's area; 0: none">
+        <NumberInput label="Smallest area of a part" value={share} min={0} max={100} digits={4} step={1} onValue={setShare} />
+        <span>%</span>
+      </Field>
+      <Field label="Smallest size" hint="Parts go whose box has a shorter diagonal, in model units; 0: none">
+        <NumberInput label="Smallest size of a part" value={size} min={0} digits={9} step={diagonal / 100} onValue={setSize} />
+      </Field>
+      <Field label="Copies within" hint="Triangles go whose corners are at most this far from those of another, in model units; 0: none">
+        <NumberInput label="Distance of copies" value={apart} min={0} digits={9} step={near} onValue={setApart} />
+      </Field>
       <div class="row">
-        <Field label="Parts" hint="How many connected parts stay, by their area">
-          <NumberInput label="Parts to keep" value={largest} min={1} digits={0} step={1} onValue={setLargest} />
+        <Field label="Keep at most" hint="How many parts stay, those with the largest area; 0: all">
+          <NumberInput label="Parts to keep" value={largest} min={0} digits={0} step={1} onValue={setLargest} />
         </Field>
         <span class="gap" />
-        <Button label="Keep largest" onClick={() => void edit("Keeping the largest parts", { case: "clean", value: { keepLargest: largest } })} />
+        <Button
+          label="Clean"
+          hint="Removes small parts and hidden copies of the whole model"
+          disabled={Object.values(rules).every((rule) => rule === 0)}
+          onClick={() => void edit("Cleaning", { case: "clean", value: rules })}
+        />
       </div>
     </Group>
   );
@@ -198,9 +220,9 @@ function WholePose(): JSX.Element {
   return (
     <Group title="Pose">
       <div class="row">
-        <Button label="Part crossings" hint="Moves as little as is needed for triangles not to cross" onClick={() => void edit("Parting crossings", { case: "unintersect", value: {} })} />
+        <Button label="Resolve crossings" hint="Moves vertices as little as is needed for triangles not to cross" onClick={() => void edit("Resolving crossings", { case: "unintersect", value: {} })} />
         <span class="gap" />
-        <Button label="Make it the rest pose" hint="Later poses go on from this shape" onClick={() => void edit("New rest pose", { case: "adopt", value: {} })} />
+        <Button label="Set as rest pose" hint="Later poses start from this shape" onClick={() => void edit("New rest pose", { case: "adopt", value: {} })} />
       </div>
     </Group>
   );

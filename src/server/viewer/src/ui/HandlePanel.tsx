@@ -27,7 +27,7 @@ export function HandlePanel(): JSX.Element {
       {active && <Details handle={active} />}
       {list.length > 0 && (s.doc.value?.report.parts.length ?? 0) > 1 && (
         <Check
-          label="hard parts stay rigid"
+          label="Hard parts stay rigid"
           checked={(s.facts.value?.solver?.stiffParts ?? 0) > 0}
           onValue={(stiff) => void keepHardParts(stiff)}
         />
@@ -112,15 +112,15 @@ function Held({ handle, change }: Changing): JSX.Element {
       {hold === "soft" && (
         <Stiffness value={stiffness} change={change} />
       )}
-      <Field label="Fades" hint={hold === "soft" ? "How its pull falls around the region" : "How it gives way inside, up to its border"}>
+      <Field label="Falloff" hint={hold === "soft" ? "How its pull falls around the region" : "How it gives way inside, up to its border"}>
         <select
           aria-label="Falloff"
           value={falloff.kind}
           onChange={(event) => change({ falloff: { ...falloff, kind: event.currentTarget.value as HandleState["falloff"]["kind"] } })}
         >
-          <option value="NONE">not at all</option>
-          <option value="LINEAR">linearly</option>
-          <option value="SMOOTH">smoothly</option>
+          <option value="NONE">none</option>
+          <option value="LINEAR">linear</option>
+          <option value="SMOOTH">smooth</option>
         </select>
         {falloff.kind !== "NONE" && (
           <NumberInput
@@ -186,7 +186,7 @@ function Pose({ handle }: { handle: HandleState }): JSX.Element {
       {row("Move", pose.translation, lengthStep(), 4, undefined, (translation) => set({ translation }))}
       {row("Turn °", scaled(pose.rotation, DEGREES), 5, 1, undefined, (degrees) => set({ ...asItLies(handle), rotation: scaled(degrees, 1 / DEGREES) }))}
       <Check
-        label="turns automatically"
+        label="Turns automatically"
         checked={pose.freely}
         disabled={!constrains.position || !constrains.rotation}
         onValue={(freely) => set(freely ? { freely } : asItLies(handle))}

@@ -39,7 +39,7 @@ export function Help(): JSX.Element {
           it also covers selections, in the order of your actions.
         </li>
         <li>
-          <b>Edit</b> the triangles: cut, delete, fill, subdivide, decimate, smooth, weld, merge, or remesh what the remesh brush paints. Undo covers that, too.
+          <b>Edit</b> the triangles: cut by a plane or along a line, delete, fill, subdivide, decimate, smooth, weld, merge, or remesh what the remesh brush paints. Undo covers that, too.
         </li>
         <li>
           <b>Export</b> the model: unless it was edited, everything but positions, normals and tangents stays as it was in the file.

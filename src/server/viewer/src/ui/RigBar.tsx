@@ -17,9 +17,9 @@ export function RigBar(): JSX.Element | null {
       <div class="row">
         <span class="reasons" role="status">
           {things(joints.length, "joint")}
-          {own ? " of the rig file" : unsure ? `, ${doubtful.length} not sure` : ", all sure"}
-          {given > 0 && `, ${given} put by hand`}
-          {r.finding.value && " · looking again"}
+          {own ? " of the rig file" : unsure ? `, ${doubtful.length} uncertain` : ", all certain"}
+          {given > 0 && `, ${given} placed by hand`}
+          {r.finding.value && " · searching again"}
         </span>
         <span class="gap" />
         {source.bvh !== undefined && (
@@ -30,7 +30,7 @@ export function RigBar(): JSX.Element | null {
             onClick={() => void animate({ ...source, rig })}
           />
         )}
-        <Button label="Take back" disabled={given === 0 || r.finding.value} onClick={() => void r.forgetCorrections()} />
+        <Button label="Reset joints" disabled={given === 0 || r.finding.value} onClick={() => void r.forgetCorrections()} />
         <Button bare icon="close" label="Back to editing" keys="Escape" onClick={r.closeRig} />
       </div>
       {unsure && (
@@ -44,7 +44,7 @@ export function RigBar(): JSX.Element | null {
       )}
       <p class="hint">
         {movable
-          ? "Drag red joints to where they belong, or click those that are right. Blue ones are put by hand."
+          ? "Drag red joints to where they belong, or click those that are right. Blue ones were placed by hand."
           : "These are the joints of the model's own skin."}
       </p>
     </div>

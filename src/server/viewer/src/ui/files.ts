@@ -20,7 +20,7 @@ export function pickRecording(): void {
 }
 
 /** Asks for a model that an edit takes: its bytes, and the format that its name says. */
-export function pickModel(take: (model: Uint8Array<ArrayBuffer>, format: string) => Promise<void>): void {
+export function pickModel(take: (model: Uint8Array<ArrayBuffer>, format: string) => Promise<unknown>): void {
   pick(EXTENSIONS.map((extension) => `.${extension}`), false, ([file]) => {
     if (file === undefined) return;
     const format = file.name.split(".").at(-1)?.toLowerCase() ?? "";

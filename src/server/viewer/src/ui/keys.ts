@@ -4,6 +4,7 @@ import { animating, seekFrame } from "../app/animating.ts";
 import { makeHandle, removeHandle } from "../app/handling.ts";
 import { bringBack, onScreen } from "../app/intermission.ts";
 import { leavingQuestion } from "../app/leaving.ts";
+import { applyLine, removeLastPoint } from "../app/lines.ts";
 import { redo, undo } from "../app/past.ts";
 import * as s from "../app/signals.ts";
 import { activate, clearSelection, giveUpGesture, invertSelection } from "../app/tools.ts";
@@ -28,6 +29,7 @@ const AROUND = Math.PI / 18;
 const NEARER = 1.15;
 
 const removeActive = (): void => {
+  if (s.tool.peek() === "line") return removeLastPoint();
   const id = s.activeId.peek();
   if (id !== undefined) void removeHandle(id);
 };
@@ -42,6 +44,7 @@ const escape = (): void => {
   else if (giveUpGesture()) return;
   else if (onScreen.peek() !== undefined) bringBack();
   else if (s.cutPlane.peek() !== undefined) s.cutPlane.value = undefined;
+  else if (s.tool.peek() === "line") s.tool.value = "orbit";
   else clearSelection();
 };
 
@@ -74,7 +77,7 @@ export const SHORTCUTS: readonly { title: string; list: readonly Shortcut[] }[] 
   {
     title: "Selection and handles",
     list: [
-      { keys: "Enter", what: "Make a grip of the selection", act: () => void makeHandle("grip") },
+      { keys: "Enter", what: "Make a grip of the selection; apply a line", act: () => void (s.tool.peek() === "line" ? applyLine() : makeHandle("grip")) },
       { keys: "P", what: "Pin the selection", act: () => void makeHandle("pin") },
       { keys: "O", what: "Make a soft handle of the selection", act: () => void makeHandle("soft") },
       { keys: "I", what: "Invert the selection", act: invertSelection },
@@ -82,7 +85,7 @@ export const SHORTCUTS: readonly { title: string; list: readonly Shortcut[] }[] 
       { keys: "]", what: "Larger brush", act: wider(1.2) },
       { keys: "T", what: "Select through the model", act: () => s.choose({ throughSelect: !s.settings.peek().throughSelect }) },
       { keys: "N", what: "Next handle", act: step(1) },
-      { keys: "Delete", what: "Remove the active handle", act: removeActive },
+      { keys: "Delete", what: "Remove the active handle; the last point of a line", act: removeActive },
       { keys: "Escape", what: "Cancel the drag or the stroke, clear the selection, close the sheet", act: escape, always: true },
     ],
   },
@@ -135,7 +138,8 @@ export function installKeys(): void {
     const typing = target.matches("input:not([type=checkbox]):not([type=range]), select, textarea") && !(control && target.matches("[type=number], select"));
     // Arrows belong to what they move: a list of options, the choice among a few.
     const choosing = event.key.startsWith("Arrow") && target.matches("input, [role=radio]");
-    const pressing = target.matches("button, summary, a") && (event.key === "Enter" || event.key === " ");
+    // A choice that is made already does nothing more with them.
+    const pressing = target.matches("button:not([aria-checked=true]), summary, a") && (event.key === "Enter" || event.key === " ");
     const escaping = event.key === "Escape";
     if ((typing && !escaping) || pressing || choosing || s.busy.peek() !== undefined || leavingQuestion.peek() !== undefined) return;
     if (event.altKey) return;

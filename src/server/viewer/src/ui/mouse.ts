@@ -16,5 +16,5 @@ export function selectingMeans(looksWith: LooksWith): string {
 /** What the buttons mean whatever the tool; `armTool` makes it so. */
 export function buttonsMean(looksWith: LooksWith): string {
   const [looks, pans] = looksWith === "middle" ? ["middle", "right"] : ["right", "middle"];
-  return `The ${looks} button orbits; with Shift, or with the ${pans} button, it pans; the wheel zooms.`;
+  return `The ${looks} button orbits, and so does the left one unless the tool selects; with Shift they pan, as the ${pans} button does; the wheel zooms.`;
 }
