@@ -46,7 +46,10 @@ export async function play({ browser, url, server, log }) {
   // Points are clicked, moved and removed; beside the model a click is none, and a drag orbits.
   await draw();
   const { revision } = await sheet.ask("state");
-  await clicks([0.3, 0.5], [0.4, 0.52], [0.5, 0.5]);
+  await clicks([0.3, 0.5], [0.4, 0.52], [0.5, 0.5], [0.6, 0.5], [0.55, 0.5]);
+  await sheet.key("Control+z");
+  assert.equal((await line()).length, 4, "Ctrl+Z takes the last point back");
+  await button("Remove last").click();
   const { left, top } = await sheet.outline();
   await page.mouse.click(left, top);
   assert.equal((await line()).length, 3, "there is no surface at the outline's corner");

@@ -52,8 +52,11 @@ export function addPoint(x: number, y: number): void {
   if (at !== undefined) linePoints.value = [...linePoints.peek(), at];
 }
 
-export function removeLastPoint(): void {
-  linePoints.value = linePoints.peek().slice(0, -1);
+/** Whether there was one. */
+export function removeLastPoint(): boolean {
+  const points = linePoints.peek();
+  linePoints.value = points.slice(0, -1);
+  return points.length > 0;
 }
 
 /** Makes edges of the line, and selects their vertices, or cuts along it. */

@@ -1,7 +1,7 @@
 /** A line on the surface: how it is drawn, and what it becomes. */
 
 import type { JSX } from "preact";
-import { applyLine, isLine, lineChoice } from "../app/lines.ts";
+import { applyLine, isLine, lineChoice, linePoints, removeLastPoint } from "../app/lines.ts";
 import * as s from "../app/signals.ts";
 import { Button, Check, Choice, Field } from "./parts.tsx";
 
@@ -21,7 +21,7 @@ export function Line(): JSX.Element {
       )}
       {drawing && (
         <>
-          <p class="hint">Click the surface for each point; drag points to move them. Backspace removes the last one.</p>
+          <p class="hint">Click the surface for each point; drag points to move them.</p>
           <Field label="It becomes">
             <Choice
               label="What the line becomes"
@@ -52,6 +52,7 @@ export function Line(): JSX.Element {
             {cuts && <Check label="Close the cut" checked={fill} onValue={(value) => choose({ fill: value })} />}
           </div>
           <div class="row">
+            <Button label="Remove last" keys="Backspace" disabled={linePoints.value.length === 0} onClick={removeLastPoint} />
             <span class="gap" />
             <Button label="Cancel" keys="Escape" onClick={() => (s.tool.value = "orbit")} />
             <Button kind="main" label={cuts ? "Cut along it" : "Make edges"} keys="Enter" disabled={!isLine()} onClick={() => void applyLine()} />

@@ -29,7 +29,7 @@ const AROUND = Math.PI / 18;
 const NEARER = 1.15;
 
 const removeActive = (): void => {
-  if (s.tool.peek() === "line") return removeLastPoint();
+  if (removeLastPoint() || s.tool.peek() === "line") return;
   const id = s.activeId.peek();
   if (id !== undefined) void removeHandle(id);
 };
@@ -94,7 +94,7 @@ export const SHORTCUTS: readonly { title: string; list: readonly Shortcut[] }[] 
     list: [
       { keys: "Ctrl+O", what: "Open a model", act: pickFiles, always: true },
       { keys: "Ctrl+S", what: "Export GLB", act: () => void exportModel("glb") },
-      { keys: "Ctrl+Z", what: "Undo the last commit, selection or choice of a handle", act: () => void undo() },
+      { keys: "Ctrl+Z", what: "Undo the last commit, selection, choice of a handle or point of a line", act: () => void (removeLastPoint() || undo()) },
       { keys: "Ctrl+Y", what: "Redo (also Ctrl+Shift+Z)", act: () => void redo() },
     ],
   },
