@@ -169,7 +169,7 @@ pub(super) fn print_text(text: &str) -> Result<(), CliFailure> {
     printed(written)
 }
 
-/// What printing on stdout has come to. It is no failure that nothing reads any more, as in `pliant … --json | head`.
+/// Whether printing on stdout succeeded. A reader that has left, as in `pliant … --json | head`, is not a failure.
 pub(super) fn printed(written: std::io::Result<()>) -> Result<(), CliFailure> {
     match written {
         Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
