@@ -21,7 +21,8 @@ const BLOCK: usize = 16;
 ///
 /// A pair that shares an edge never counts. A pair that shares one vertex counts when the edge opposite to it in one
 /// triangle passes through the other triangle. Any other pair counts when an edge of one passes through the other. An
-/// edge passes through a triangle when its ends lie strictly on both sides and it meets the triangle or its border.
+/// edge passes through a triangle when its ends lie on both sides, by more than what rounding moves them by, and it meets the triangle
+/// or its border.
 ///
 /// Takes time in proportion to n log n plus the pairs whose boxes overlap, which may be all when a surface has
 /// collapsed; `progress` is asked often. The count does not depend on threads.

@@ -231,12 +231,12 @@ impl Joints {
     }
 
     /// Whether words name a part that bodies have.
-    pub fn is_body_part(words: &[&str]) -> bool {
+    pub fn is_body_part(words: &[String]) -> bool {
         let limbs = LIMBS.iter().flat_map(|limb| limb.0);
         let mut names = limbs.chain(TRUNK.iter().flat_map(|part| part.0));
         names.any(|name| {
             name.split(' ')
-                .all(|own| words.iter().any(|w| singular(w) == own || *w == own))
+                .all(|own| words.iter().any(|w| singular(w) == own || w == own))
         })
     }
 

@@ -373,10 +373,8 @@ impl<'a> Resolver<'a> {
     fn unknown(&self, text: &str, field: &str) -> Result<Error, Error> {
         let shown: String = text.chars().take(80).collect();
         let mut problem = format!("\"{shown}\" is nothing of this model; {}", self.what_there_is()?);
-        let words = plain_words(text);
-        let words: Vec<&str> = words.iter().map(String::as_str).collect();
         let has_body = (self.joints()?).is_some_and(|joints| !joints.words().is_empty());
-        if !has_body && Joints::is_body_part(&words) {
+        if !has_body && Joints::is_body_part(&plain_words(text)) {
             let axes = self.figure.axes;
             let (up, front) = (axes.up.name(), axes.front.name());
             problem += &format!(

@@ -86,7 +86,8 @@ async function walk(sheet, model, log) {
   await page.getByRole("button", { name: "Play the animation" }).click();
   const played = new Map();
   await sheet.until("it plays", ({ animation }) => animation.running);
-  while (played.size < 8) {
+  for (let look = 0; played.size < 8; look++) {
+    assert.ok(look < 1000, `it plays ${played.size} frames only`);
     const seen = await now(sheet);
     played.set(seen.at, seen.place.x);
   }

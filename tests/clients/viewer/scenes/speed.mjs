@@ -7,7 +7,7 @@
 import assert from "node:assert/strict";
 import { Sheet } from "../browser.mjs";
 import { finger } from "../models.mjs";
-import { asHandles, asPose, compare, holdBothEnds, shows } from "./hold.mjs";
+import { asHandles, asPose, compare, holdBothEnds, shows, takeGrip } from "./hold.mjs";
 
 /** How long each model is dragged. */
 const DRAG_SECONDS = 4;
@@ -23,9 +23,9 @@ export async function play({ browser, url, server, log, named }) {
     await sheet.pick(model);
     await sheet.until("the model opens", ({ link, busy }) => link === "open" && !busy);
     const opened = performance.now() - begun;
-    const grip = await holdBothEnds(sheet);
+    await holdBothEnds(sheet);
     const frames = await watch(sheet);
-    const seen = await dragFor(sheet, grip, DRAG_SECONDS, frames);
+    const seen = await dragFor(sheet, DRAG_SECONDS, frames);
     const after = await sheet.until("the release is recorded", ({ revision }) => revision === "4");
     log(
       `${after.vertices} vertices: open ${(opened / 1000).toFixed(1)} s; while dragging ${seen.shapes} shapes in ` +
@@ -102,10 +102,9 @@ async function told(sheet) {
 }
 
 /** Leads the grip around for some seconds; answers what was seen until the mouse let go. */
-async function dragFor(sheet, grip, seconds, frames) {
+async function dragFor(sheet, seconds, frames) {
   const { mouse } = sheet.page;
-  await mouse.move(grip.at.x, grip.at.y);
-  await mouse.down();
+  const grip = await takeGrip(sheet);
   const until = performance.now() + seconds * 1000;
   for (let k = 0; performance.now() < until; k++) {
     await mouse.move(grip.at.x + 60 * Math.sin(k / 12), grip.at.y + 40 * Math.sin(k / 18));
